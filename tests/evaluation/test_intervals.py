@@ -149,7 +149,7 @@ def test_draws_of_drives_and_blocks_have_the_right_weights() -> None:
     values = np.array([3.0, 1.0, 4.0, 1.0, 5.0, 9.0])
     by_hand = sample.draws[7] @ values / sample.draws[7].sum()
     assert sample.means(values)[7] == pytest.approx(by_hand)
-    assert (sample.drives, sample.units, sample.levels(3)) == (3, 3, Levels(3, 6, 3))
+    assert (sample.drives, sample.levels(3)) == (3, Levels(3, 6, 3))
     assert Levels(3, 6, 1).text() == "3 drives, 6 blocks, 1 seed"
 
 
@@ -179,7 +179,7 @@ def test_models_are_compared_on_the_same_draws_of_seeds() -> None:
 
 def test_blocks_of_one_drive_are_units_and_say_so() -> None:
     sample = nested(1, 10, 2)
-    assert (sample.drives, sample.units, sample.blocks) == (1, 10, 10)
+    assert sample.levels(2) == Levels(1, 10, 2)
     assert (sample.draws.sum(axis=1) == 10).all()
     assert sample.levels(2).text() == "10 blocks of one drive, 2 seeds"
     assert sample.levels().caveat == "Intervals are over blocks of one drive and say nothing about other drives."

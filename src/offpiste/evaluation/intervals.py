@@ -88,14 +88,12 @@ class Resampling:
         block: index of each window's block, 0 ... G - 1.
         draws: number of times each block was drawn in each resample.
         drives: number of drives.
-        units: number of independent units (`Levels.units`).
         seed: of the draws of seeds.
     """
 
     block: Int[np.ndarray, " n"]
     draws: Int[np.ndarray, "R G"]
     drives: int
-    units: int
     seed: int
 
     @property
@@ -131,9 +129,10 @@ class Resampling:
         Plain percentiles are too narrow by sqrt((N-1)/N) and assume a normal distribution; they are expanded to match
         Student's (Hesterberg, The American Statistician 69, 2015, "expanded percentile interval").
         """
-        if self.units < MIN_UNITS or not np.isfinite(means).all():
+        units = self.levels().units
+        if units < MIN_UNITS or not np.isfinite(means).all():
             return NO_INTERVAL
-        tail = ndtr(-np.sqrt(self.units / (self.units - 1)) * stdtrit(self.units - 1, 0.975))
+        tail = ndtr(-np.sqrt(units / (units - 1)) * stdtrit(units - 1, 0.975))
         low, high = np.quantile(means, [tail, 1 - tail])
         return (float(low), float(high))
 
@@ -176,14 +175,14 @@ def resampling(
     rng, total = np.random.default_rng(seed), int(block.max()) + 1
     names, inside = np.unique(drive, return_inverse=True)
     if len(names) == 1:
-        draws = rng.multinomial(total, np.full(total, 1 / total), size=resamples)
-        return Resampling(block, draws, 1, total, seed)
-    drawn = rng.multinomial(len(names), np.full(len(names), 1 / len(names)), size=resamples)
+        drawn = np.ones((resamples, 1), np.int64)
+    else:
+        drawn = rng.multinomial(len(names), np.full(len(names), 1 / len(names)), size=resamples)
     draws = np.zeros((resamples, total), np.int64)
     for number in range(len(names)):
         mine = np.unique(block[inside == number])
         draws[:, mine] = rng.multinomial(drawn[:, number] * len(mine), np.full(len(mine), 1 / len(mine)))
-    return Resampling(block, draws, len(names), len(names), seed)
+    return Resampling(block, draws, len(names), seed)
 
 
 @runtime_checkable

@@ -1,6 +1,5 @@
 """Model cards: training data, accuracy and limits of use."""
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -107,51 +106,41 @@ def card_page(card: ModelCard) -> str:
         "Code": f"commit {card.commit}",
         "Written": card.date,
         "Licence": card.licence,
+        "Warnings of `inspect` on the logs": "; ".join(card.warnings),
     }
-    if card.warnings:
-        facts["Warnings of `inspect` on the logs"] = "; ".join(card.warnings)
-    lines = [f"# {card.name}", "", card.about, "", *(f"- **{name}**: {text}" for name, text in facts.items()), ""]
-    lines += [figures_table(card).markdown()]
-    if card.driving is not None:
-        found = card.driving
-        lines += ["## How a planner drives with it", ""]
-        lines += [f"{driving_words(found)} Code: {found.commit}; {found.date}.", ""]
+    lines = [f"# {card.name}", "", card.about, "", *(f"- **{name}**: {text}" for name, text in facts.items() if text)]
+    lines += ["", figures_table(card).markdown()]
+    if (found := card.driving) is not None:
+        about = f"{driving_words(found)} Code: {found.commit}; {found.date}."
+        lines += ["## How a planner drives with it", "", about, ""]
     lines += ["## What it must not be used for", "", *(f"- {use}" for use in card.not_for), ""]
     return "\n".join(lines)
 
 
 def figures_table(card: ModelCard) -> TextTable:
     """Return the errors by group, those over all seeds first."""
-    rows = [("all, over all seeds", card.over_seeds), *((figures.group, figures) for figures in card.figures)]
-    lines = tuple((name, *_cells(figures)) for name, figures in rows)
+    lines, caveats = [], dict[str, None]()
+    for name, one in (("all, over all seeds", card.over_seeds), *((each.group, each) for each in card.figures)):
+        error = f"{number(one.error_m.mean)} {interval(one.error_m.ci95)}"
+        against = "" if one.against_b is None else _percent(one.against_b)
+        lines.append((name, str(one.windows), one.levels.text(), error, against))
+        caveats[one.levels.caveat] = None
     about = (
         f"Mean distance error after 5 s, from the causal start, on {card.lookup}, at predicted places; "
         "95 % intervals. Speed and kind of ground are those at a window's start."
     )
-    about = " ".join((about, *filter(None, dict.fromkeys(figures.levels.caveat for _, figures in rows))))
     names = ("windows that start", "number", "intervals over", "error [m]", "against `b`")
-    return TextTable("How well it predicts", names, lines, about)
+    return TextTable("How well it predicts", names, lines, " ".join(filter(None, (about, *caveats))))
 
 
 def driving_words(driving: CourseFigures) -> str:
     """Describe the driving cost in a sentence."""
-    mean, (low, high) = driving.against_b.mean, driving.against_b.ci95
+    low, high = driving.against_b.ci95
     shown = "" if low > 0 or high < 0 else ", so no difference is shown"
-    return (
-        f"On {driving.courses} courses in unseen worlds, its driving cost differs from that of `b` by {_percent(mean)}"
-        f" {interval((100 * low, 100 * high), 0)}{shown}."
-    )
+    courses = f"On {driving.courses} courses in unseen worlds"
+    return f"{courses}, its driving cost differs from that of `b` by {_percent(driving.against_b)}{shown}."
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:+.0f} %"
-
-
-def _cells(figures: GroupFigures) -> Sequence[str]:
-    error, gain = figures.error_m, figures.against_b
-    against = ""
-    if gain is not None:
-        low, high = (100 * bound for bound in gain.ci95)
-        against = f"{_percent(gain.mean)} {interval((low, high), 0)}"
-    text = f"{number(error.mean)} {interval(error.ci95)}"
-    return (str(figures.windows), figures.levels.text(), text, against)
+def _percent(difference: PairedDifference) -> str:
+    low, high = (100 * bound for bound in difference.ci95)
+    return f"{100 * difference.mean:+.0f} % {interval((low, high), 0)}"

@@ -120,37 +120,25 @@ def _notes(metrics: Metrics) -> Iterator[str]:
         yield f"Models: {'; '.join(f'{_explained(name)}: {MODELS[name].what}' for name in known)}."
     if metrics.headlines:
         yield f"Figures show windows of {display(metrics.headlines[0].model)}, the first model."
-    yield (
-        "Start: a causal start uses only past data, as in planning; a smoothed start also uses future data and is "
-        "shown for comparison."
-    )
     map_reads = (
         "map reads it at the predicted place, as a planner does"
         if metrics.features
         else "map reads the slope of the later driven path nearest to the predicted place, which no planner has"
     )
-    yield (
-        "Lookup: recorded reads the terrain under the recorded path, as in the paper, which also reveals the distance "
-        f"driven; {map_reads}, and decides. Models without a lookup do not read the terrain."
+    notes = (
+        Path(__file__)
+        .with_name("notes.txt")
+        .read_text("utf-8")
+        .format(
+            map_reads=map_reads,
+            block=metrics.windows.block_s,
+            least=MIN_UNITS,
+            reference=REFERENCE,
+            units=", ".join(f"{name} {np.sqrt(scale):.3g}" for name, scale in metrics.loss.scale.items()),
+            weights=", ".join(f"{name} {weight:g}" for name, weight in metrics.loss.weights.items()),
+        )
     )
-    yield (
-        "Intervals are of the mean, bootstrapped over drives, then blocks within each drawn drive, then seeds: windows "
-        f"of one drive that start within {metrics.windows.block_s:g} s of each other form a block, since overlapping "
-        "windows are not independent, and windows of a drive share its ground. Intervals of a single drive are over "
-        f"its blocks and do not generalise to other drives. A dash means fewer than {MIN_UNITS} drives, or blocks of a "
-        "single drive."
-    )
-    yield (
-        "With several runs of a model, the error of a window is the mean over seeds, and the windows of folds are "
-        "combined. Errors are averaged, not predictions."
-    )
-    units = ", ".join(f"{name} {np.sqrt(scale):.3g}" for name, scale in metrics.loss.scale.items())
-    weights = ", ".join(f"{name} {weight:g}" for name, weight in metrics.loss.weights.items())
-    yield (
-        f"The loss is the mean over all 250 steps of squared errors, each divided by the mean square error of "
-        f"{REFERENCE} in training (roots: {units}), weighted ({weights}) and summed."
-    )
-    yield "The error of a prediction that is not finite is infinite."
+    yield from notes.splitlines()
 
 
 def _explained(name: str) -> str:

@@ -12,6 +12,7 @@ from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.evaluated_windows import share_driven_in_training
 from offpiste.evaluation.intervals import PairedDifference
 from offpiste.evaluation.metrics import LossUnits, ResultRow, last_rows, pooled_rows, provenance, write_metrics
+from offpiste.evaluation.report import component_table
 from offpiste.report.page import Page, picture, table_section, write_page
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.data import driven_seconds, opened
@@ -55,7 +56,7 @@ def write_figure(settings: ReproductionSettings, results: FigureResults) -> Text
     claims = fig4_claims(results) if is_fig4 else fig3_claims(results, stored)
     drawn = fig4(results) if is_fig4 else fig3(results, stored)
     pictures = [picture(name.replace(" ", "-"), figure, caption(name, results)) for name, figure in drawn.items()]
-    tables = [error_table(metrics.results), difference_table(results), seed_table(results)]
+    tables = [component_table(pooled_rows(metrics.results)), difference_table(results), seed_table(results)]
     if is_fig4:
         tables += [distance_table(results, metrics.results, name) for name in NAMES if name != "vy_error_mps"]
     sections = [table_section(claims, *pictures), *(table_section(table) for table in tables if table.lines)]
@@ -222,30 +223,6 @@ def _claims(lines: Sequence[tuple[str, ...]]) -> TextTable:
         "numbers is as certain as the deciding number."
     )
     return TextTable("What the paper says", ("claim", "paper", "here", "as in the paper"), lines, about)
-
-
-def error_table(rows: Sequence[ResultRow]) -> TextTable:
-    """Return the mean errors after 5 s of every model and terrain lookup."""
-    last = last_rows(pooled_rows(rows))
-    lines = [
-        (
-            _named(row.label, (row.lookup, row.feature_set)),
-            *(f"{number(getattr(row, key).mean, 3)} {interval(getattr(row, key).ci95, 3)}" for key in NAMES),
-            number(row.distance_error_m.median),
-            f"{row.n}" + (f" ({row.n_failed} failed)" if row.n_failed else ""),
-            f"{row.levels.seeds}",
-        )
-        for row in last
-    ]
-    levels = {row.lookup or "": row.levels for row in last}
-    counts = "; ".join(f"{name}: {each.drives} drives, {each.blocks} blocks" for name, each in levels.items())
-    about = (
-        "Mean absolute errors over all seeds, with 95 % intervals bootstrapped over drives, blocks of 10 s within "
-        f"them, and seeds; the loss is over all steps. On the map, other windows are evaluated. {counts}."
-    )
-    caveats = dict.fromkeys(each.caveat for each in levels.values() if each.caveat)
-    names = ("model", *NAMES.values(), "median [m]", "windows", "seeds")
-    return TextTable("Errors after 5 s", names, lines, " ".join((about, *caveats)))
 
 
 def _named(label: str, reading: Reading) -> str:

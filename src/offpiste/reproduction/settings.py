@@ -5,6 +5,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import msgspec
+
 from offpiste.core.checksums import sha256_of_folders
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.errors import OffpisteError
@@ -58,62 +60,8 @@ class Size:
     sensors: str = "light"
 
 
-_ALL_SPEEDS: dict[str, Any] = {"manoeuvres": True, "seeds": 3}
-
-SIZES = {
-    size.name: size
-    for size in (
-        Size(
-            "smoke",
-            (140.0, 40.0, 80.0),
-            images=40,
-            stride=25,
-            train=TrainConfig(epochs=8, bicycle_epochs=8, actuator_epochs=4, batch=64),
-            world_size=200.0,
-            world_resolution=0.5,
-        ),
-        Size("laptop", (2400.0, 300.0, 900.0), seeds=3, train=TrainConfig(epochs=12, bicycle_epochs=12, batch=128)),
-        Size(
-            "evening",
-            (4_500.0, 600.0, 2_400.0),
-            pca_drives=2,
-            train=TrainConfig(epochs=24, bicycle_epochs=12, batch=128, min_speed=0.0),
-            first_seed=22_000,
-            portion=16,
-            **_ALL_SPEEDS,
-        ),
-        Size(
-            "day",
-            (18_000.0, 1_200.0, 4_800.0),
-            images=350,
-            pca_drives=2,
-            train=TrainConfig(epochs=10, bicycle_epochs=8, batch=512, min_speed=0.0),
-            first_seed=20_000,
-            portion=16,
-            **_ALL_SPEEDS,
-        ),
-        Size(
-            "full",
-            (1_800.0, 180.0, 900.0),
-            train=TrainConfig(epochs=12, bicycle_epochs=12, batch=128, min_speed=0.0),
-            first_seed=21_000,
-            portion=8,
-            sensors="full",
-            **_ALL_SPEEDS,
-        ),
-        Size(
-            "paper",
-            (42_000.0, 2_600.0, 5_300.0),
-            pca_drives=4,
-            snapshot_seconds=0.5,
-            seeds=3,
-            stride=1,
-            train=TrainConfig(epochs=30, bicycle_epochs=5, batch=1024, stride=1),
-        ),
-    )
-}
-"""Sizes by name: `smoke` takes minutes, `laptop` half an hour; `evening`, `day` and `full` have all speeds in their own
-worlds, `full` with four cameras and two LiDARs; `paper` has some 2M training and 250k test windows."""
+SIZES = msgspec.toml.decode(Path(__file__).with_name("sizes.toml").read_text("utf-8"), type=dict[str, Size])
+"""Sizes by name."""
 
 
 def sized(name: str, seconds: tuple[float, float, float] | None = None, seeds: int | None = None) -> Size:

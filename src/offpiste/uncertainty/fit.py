@@ -82,7 +82,12 @@ def fit_spread(run: Run, train: Windows, validation: Windows, settings: SpreadSe
     with seeded(settings.seed):
         spread = Spread(inputs_of(run.dynamics.vehicle, run.dynamics.codes))
     every = np.linspace(0, len(train) - 1, min(settings.windows, len(train))).astype(int)
-    learned = residuals_at_recorded(run, train, np.unique(every), rng)
+    draw = MODELS[run.model].draw
+
+    def choose(some: np.ndarray) -> FeatureSetChoice:
+        return drawn(draw, rng, len(some), train.sets)
+
+    learned = predictions_of(run, train, np.unique(every), "recorded", choose)[1]
     fit_network(spread, learned, rng, settings.steps, settings.batch, settings.learning_rate)
     fit_factor(spread, residuals_on_maps(run, validation, validation.evaluation_indices(5)))
     logger.info(
@@ -113,26 +118,15 @@ def fit_network(
 
 def fit_factor(spread: Spread, residuals: Residuals) -> None:
     """Set the factor of all scales to its maximum likelihood."""
-    candidates = torch.logspace(-1, 1, 201)
-    losses = []
+    candidates, losses = torch.logspace(-1, 1, 201), []
     for factor in candidates:
         spread.factor.copy_(factor)
-        losses.append(_loss(spread, residuals).detach())
-    spread.factor.copy_(candidates[int(torch.stack(losses).argmin())])
+        losses.append(float(_loss(spread, residuals)))
+    spread.factor.copy_(candidates[int(np.argmin(losses))])
 
 
 def _loss(spread: Spread, residuals: Residuals) -> Float[Tensor, ""]:
     return negative_log_likelihood(residuals.error, spread(residuals.inputs), spread.freedom).mean()
-
-
-def residuals_at_recorded(run: Run, windows: Windows, index: np.ndarray, rng: np.random.Generator) -> Residuals:
-    """Return residuals at recorded places, with feature sets drawn as in the model's training."""
-    draw = MODELS[run.model].draw
-
-    def choose(some: np.ndarray) -> FeatureSetChoice:
-        return drawn(draw, rng, len(some), windows.sets)
-
-    return predictions_of(run, windows, index, "recorded", choose)[1]
 
 
 def residuals_on_maps(run: Run, windows: Windows, index: np.ndarray) -> Residuals:
