@@ -1,7 +1,6 @@
 """Typical and worst windows of a model: recorded and predicted paths on the ground known at the start."""
 
 from collections.abc import Iterator, Sequence
-from functools import cache
 from typing import Final
 
 import numpy as np
@@ -237,11 +236,13 @@ def ground_pictures(
     """
     if not dataset.features:
         return [None] * len(row)
-    whole = cache(lambda number: None if (load := dataset.drives[number].load_map) is None else load())
+    whole: dict[int, TerrainMap] = {}
     sampled: list[tuple[np.ndarray, np.ndarray] | None] = []
     for number, at, pose, square in zip(drive.tolist(), row.tolist(), poses, squares, strict=True):
         stored = dataset.drives[number]
-        terrain = _snapshot(stored, at) or whole(number)
+        terrain = _snapshot(stored, at)
+        if terrain is None and stored.load_map is not None:
+            terrain = whole[number] = whole.get(number) or stored.load_map()
         place = pose + np.append(stored.rows.origin, 0.0)
         sampled.append(None if terrain is None else _sample(terrain, place, square))
     parts = [part[0].reshape(-1, part[0].shape[-1]) for part in sampled if part is not None]
