@@ -18,7 +18,6 @@ from offpiste.dynamics import ConstantMotion
 from offpiste.evaluation.errors import (
     Errors,
     by_seed,
-    in_start_frame,
     load_errors,
     pool,
     positions,
@@ -166,12 +165,6 @@ def test_positions_find_windows_and_refuse_strangers() -> None:
     assert positions(some, among).tolist() == [1, 2]
     with pytest.raises(AssertionError, match="not the same windows"):
         positions(other, among)
-
-
-def test_paths_are_turned_to_the_start_heading() -> None:
-    # Half a turn from east: one metre west is ahead, one north is to the right.
-    paths = np.array([[[-1.0, 0.0], [0.0, 1.0]]])
-    np.testing.assert_allclose(in_start_frame(paths, np.array([np.pi])), [[[1, 0], [0, -1]]], atol=1e-12)
 
 
 def test_errors_are_stored_and_damaged_files_are_named(tmp_path: Path) -> None:

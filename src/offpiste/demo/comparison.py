@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from offpiste.core.conventions import DT
 from offpiste.core.errors import DatasetError
+from offpiste.core.geometry import planar_body_from_world
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
-from offpiste.evaluation.errors import in_start_frame
 from offpiste.evaluation.model_card import driving_words, load_card
 from offpiste.logs.drive import Drive
 from offpiste.logs.log import open_log
@@ -211,7 +211,7 @@ def _prediction(axes: Axes, drive: StoredDrive, predictions: Predictions, moment
     row = int(predictions.row[moment])
     yaw = np.asarray(drive.rows.state)[[row], 2]
     for name, path in (("recorded", predictions.recorded), *predictions.paths.items()):
-        ahead, left = in_start_frame(path[[moment]], yaw)[0].T
+        ahead, left = planar_body_from_world(path[moment], yaw).T
         colour = COLOURS.get(name, "black")
         axes.plot(-left, ahead, color=colour, linewidth=2, label=NAMES.get(name, name))
         axes.plot(-left[-1], ahead[-1], marker="o", color=colour)

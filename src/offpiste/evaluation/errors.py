@@ -15,7 +15,6 @@ from torch import Tensor
 from offpiste.core.conventions import DT
 from offpiste.core.errors import RunError
 from offpiste.core.files import write_whole
-from offpiste.core.geometry import planar_body_from_world
 from offpiste.core.limits import open_tensors
 from offpiste.core.progress import track
 from offpiste.core.state import wrap_angle
@@ -203,11 +202,6 @@ def trajectories(
         return np.empty((0, windows.horizon, 6))
     states = [roll_out(dynamics, windows, part, lookup)[1].state for part in in_parts(index, windows, lookup)]
     return np.asarray(torch.cat(states).cpu().numpy())
-
-
-def in_start_frame(paths: Float[np.ndarray, "n T 2"], yaw: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n T 2"]:
-    """Rotate displacements from the world frame to the initial heading: ahead, left [m]."""
-    return planar_body_from_world(paths, yaw[:, None])
 
 
 def _absolute_errors(predicted: Float[Tensor, "B 5 6"], target: Float[Tensor, "B 5 6"]) -> Float[Tensor, "B 5 5"]:

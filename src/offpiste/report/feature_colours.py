@@ -1,22 +1,19 @@
 """Colours of visual features, from their first three components."""
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 PERCENTILES = (2.0, 98.0)
 """Percentiles of each component at the ends of the colour scale."""
 
 
-def colour_limits(
-    components: Float[np.ndarray, "*P n"], mask: Bool[np.ndarray, "*P"] | None = None
-) -> Float[np.ndarray, "2 3"]:
+def colour_limits(components: Float[np.ndarray, "*P n"]) -> Float[np.ndarray, "2 3"]:
     """Return the values of the first three components at the ends of the colour scale.
 
     Args:
         components: of all images to compare; NaN without features.
-        mask: patches to use, e.g. ground.
     """
-    chosen = components.reshape(-1, components.shape[-1]) if mask is None else components[mask]
+    chosen = components.reshape(-1, components.shape[-1])
     chosen = chosen[np.isfinite(chosen).all(axis=1), :3].astype(np.float64)
     limits = np.zeros((2, 3))
     if len(chosen):
@@ -24,11 +21,9 @@ def colour_limits(
     return limits
 
 
-def colours(
-    components: Float[np.ndarray, "*P n"], limits: Float[np.ndarray, "2 3"] | None = None
-) -> UInt8[np.ndarray, "*P 3"]:
+def colours(components: Float[np.ndarray, "*P n"], limits: Float[np.ndarray, "2 3"]) -> UInt8[np.ndarray, "*P 3"]:
     """Return the first three components as RGB; missing or constant components are grey, patches with NaN black."""
-    low, high = colour_limits(components) if limits is None else limits
+    low, high = limits
     values = np.zeros((*components.shape[:-1], 3))
     given = min(3, components.shape[-1])
     values[..., :given] = components[..., :given]

@@ -16,20 +16,16 @@ INK, SOFT, GRID = "#1b1f24", "#8a939c", "#dddddd"
 BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d95f02", "#1a7f37", "#7b3fa0"
 
 
-def png(figure: Figure, *, dpi: int | None = None) -> bytes:
-    """Return a figure as the content of a PNG file.
-
-    Args:
-        dpi: dots per inch; None: those of the figure.
-    """
+def png(figure: Figure) -> bytes:
+    """Return a figure as the content of a PNG file."""
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", facecolor="white", dpi=dpi or "figure")
+    figure.savefig(stream, format="png", facecolor="white", dpi="figure")
     return stream.getvalue()
 
 
-def write_png(path: Path, figure: Figure, *, dpi: int | None = None) -> None:
+def write_png(path: Path, figure: Figure) -> None:
     """Write a figure as a PNG file, whole or not at all."""
-    write_bytes(path, png(figure, dpi=dpi))
+    write_bytes(path, png(figure))
 
 
 def plain(axes: Axes, title: str = "", *, grid: Literal["both", "x", "y"] = "both") -> Axes:

@@ -41,7 +41,7 @@ def view_regions(folder: Path, dataset: Dataset, out: Path) -> Path:
     index = index[np.unique(np.linspace(0, len(index) - 1, DRAWN).astype(int))]
     found = predict_with_spread(run, windows[index], "map")
     chart = regions_chart(found, windows.gather(index).target[..., :2].numpy(), run.model)
-    write_png(out / "regions.png", draw(chart), dpi=110)
+    write_png(out / "regions.png", draw(chart))
     return out / "regions.png"
 
 

@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from offpiste.core.conventions import DT, HISTORY_STEPS, HORIZON_STEPS
+from offpiste.core.geometry import planar_body_from_world
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.evaluation.box_plots import RECORDED, colour_of
-from offpiste.evaluation.errors import Errors, in_start_frame, trajectories
+from offpiste.evaluation.errors import Errors, trajectories
 from offpiste.evaluation.evaluate import Evaluation, Prediction
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows
 from offpiste.evaluation.metrics import Case, display
@@ -135,7 +136,7 @@ def _chart(evaluation: Evaluation, title: str, chosen: Errors, notes: Sequence[s
                 predicted[i][prediction.case].append(path)
     driven, recorded, squares = [], [], []
     for drive, row, pose, paths in zip(chosen.drive, chosen.row, poses, predicted, strict=True):
-        driven.append(in_start_frame((dataset.drives[drive].rows.state[:, :2] - pose[:2])[None], pose[None, 2])[0])
+        driven.append(planar_body_from_world(dataset.drives[drive].rows.state[:, :2] - pose[:2], pose[2:3]))
         recorded.append(driven[-1][row + 1 : row + 1 + HORIZON_STEPS])
         squares.append(_square(recorded[-1], [path for runs in paths.values() for path in runs]))
     panels = []
@@ -183,7 +184,7 @@ def _paths(
     place, index = np.nonzero((windows.drive == chosen.drive[:, None]) & (row == chosen.row[:, None]))
     states = trajectories(model.dynamics, windows, index, lookup=prediction.case.lookup)
     finite = np.where(np.isfinite(states[..., :2]), states[..., :2], np.nan)
-    yield from zip(place.tolist(), in_start_frame(finite, poses[place, 2]), strict=True)
+    yield from zip(place.tolist(), planar_body_from_world(finite, poses[place, 2, None]), strict=True)
 
 
 def _square(recorded: np.ndarray, predicted: Sequence[np.ndarray]) -> Square:
