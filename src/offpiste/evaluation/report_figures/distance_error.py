@@ -42,10 +42,10 @@ def distribution_plot(errors: Mapping[str, Float[np.ndarray, " n"]], *, title: s
     shown = [values[np.isfinite(values)] for values in errors.values()]
     limit = max((float(np.quantile(values, 0.98)) for values in shown if len(values)), default=1.0)
     lines = []
-    for (label, values), (colour, line) in zip(errors.items(), styles(list(errors)).values(), strict=True):
+    for label, style in styles(list(errors)).items():
         # Failed windows count, so that the curve of a model that fails never reaches 100 %.
-        share = 100 * np.arange(1, len(values) + 1) / len(values)
-        lines.append(Line(label, np.sort(values), share, colour, line))
+        values = np.sort(errors[label])
+        lines.append(Line(label, values, 100 * np.arange(1, len(values) + 1) / len(values), *style))
     ranges: dict[str, Any] = {"x_range": (0.0, limit), "y_range": (0.0, 101.0)}
     return Chart([Panel(QUANTITY, "Windows below [%]", lines, hover="y unified", **ranges)], title)
 
@@ -69,11 +69,10 @@ def growth_plot(rows: Mapping[str, Sequence[ResultRow]], *, title: str = "") -> 
         rows: by label, in ascending order of horizons.
     """
     lines = []
-    for label, (colour, line) in styles(list(rows)).items():
-        seconds = np.array([row.horizon_s for row in rows[label]])
-        mean = np.array([row.distance_error_m.mean for row in rows[label]])
-        low, high = np.array([row.distance_error_m.ci95 for row in rows[label]]).T
-        lines.append(Line(label, seconds, mean, colour, line, marker="o", low=low, high=high))
+    for label, style in styles(list(rows)).items():
+        points = [(row.horizon_s, row.distance_error_m.mean, *row.distance_error_m.ci95) for row in rows[label]]
+        seconds, mean, low, high = np.array(points).T
+        lines.append(Line(label, seconds, mean, *style, marker="o", low=low, high=high))
     return Chart([Panel("Horizon [s]", "Mean distance error [m]", by_end(lines), x_range=(0.8, 5.2))], title)
 
 
@@ -103,7 +102,7 @@ def binned_plot(
     bins = [which == k for k in np.unique(which)]
     centres = np.array([float(np.median(values[mine])) for mine in bins])
     lines = []
-    for (label, error), (colour, line) in zip(errors.items(), styles(list(errors)).values(), strict=True):
-        means = np.array([float(error[mine].mean()) for mine in bins])
-        lines.append(Line(label, centres, means, colour, line, marker="o"))
+    for label, style in styles(list(errors)).items():
+        means = np.array([float(errors[label][mine].mean()) for mine in bins])
+        lines.append(Line(label, centres, means, *style, marker="o"))
     return Chart([Panel(axis, "Mean distance error after 5 s [m]", by_end(lines))], title)
