@@ -15,8 +15,8 @@ from offpiste.training.run import build, load_run
 from offpiste.training.train import train
 from offpiste.uncertainty.novelty import (
     FILE,
+    SIZE,
     NoveltyMask,
-    NoveltySettings,
     features_at_starts,
     fit_memory_bank,
     keep_memory_bank,
@@ -38,18 +38,15 @@ def test_ground_between_known_kinds_is_novel_and_the_quantile_sets_the_threshold
     novel[:, 0] = torch.randn(1000, generator=torch.Generator().manual_seed(3))
     assert bank.novel(ground(1000, 4)).float().mean() < 0.03
     assert bank.novel(novel).float().mean() > 0.97, "their mean is that of all, but none looks like it"
-    bank = fit_memory_bank(ground(4000, 0), ground(1000, 1), NoveltySettings(quantile=0.9))
-    assert bank.novel(ground(1000, 1)).float().mean() == pytest.approx(0.1, abs=0.01)
+    assert bank.novel(ground(1000, 1)).float().mean() == pytest.approx(0.01, abs=0.001)
     with pytest.raises(DatasetError, match="2 cells of ground for training"):
         fit_memory_bank(ground(2, 0), ground(50, 1))
 
 
 def test_the_distance_is_the_mean_to_the_nearest_features():
-    settings = NoveltySettings(size=50, neighbours=3, power=1.0)
     training, other = ground(50, 0), ground(20, 1)
-    bank = fit_memory_bank(training, ground(20, 2), settings)
-    scale = training.double().std(dim=0)
-    apart = ((other[:, None] - training) / scale).square().sum(dim=-1).sqrt().sort(dim=1).values
+    bank = fit_memory_bank(training, ground(20, 2))
+    apart = (other[:, None] - training).double().square().sum(dim=-1).sqrt().sort(dim=1).values
     found = bank.distance(other).double()
     torch.testing.assert_close(found, apart[:, :3].mean(dim=1), rtol=1e-3, atol=1e-3)
 
@@ -80,8 +77,8 @@ def test_the_memory_bank_is_stored_with_its_run_and_belongs_to_its_weights(tmp_p
     run = load_run(tmp_path / "dc")
     with pytest.raises(RunError, match=r"has no memory bank to detect novel ground.*offpiste calibrate"):
         load_memory_bank(run)
-    bank = keep_memory_bank(run, dataset, NoveltySettings(size=64, candidates=200))
-    assert bank.kept.shape == (64, FEATURES)
+    bank = keep_memory_bank(run, dataset)
+    assert bank.kept.shape == (SIZE, FEATURES)
     found = features_at_starts(dataset, "test", 50)
     assert found.isfinite().all()
     assert torch.equal(load_memory_bank(run).distance(found), bank.distance(found))

@@ -58,8 +58,8 @@ def box_chart(errors: Mapping[str, Float[np.ndarray, " n"]], *, title: str = "")
         )
         boxes.append(Box(f"{label}\n{about}", colour_of(label), numbers))
         ends += [end for end in (numbers["whishi"], numbers["mean"]) if np.isfinite(end)]
-    sides = {"x_range": (0.0, 1.02 * max(ends)), "y_range": (len(boxes) - 0.4, -0.6)}
-    return Chart([Panel(QUANTITY, boxes=boxes, hover="y", **sides)], title)
+    x_range, y_range = (0.0, 1.02 * max(ends)), (len(boxes) - 0.4, -0.6)
+    return Chart([Panel(QUANTITY, boxes=boxes, hover="y", x_range=x_range, y_range=y_range)], title)
 
 
 Groups = Mapping[str, Mapping[str, Float[np.ndarray, " _"]]]

@@ -274,7 +274,7 @@ def with_baselines(
     for name in dict.fromkeys(model.label for model in result):
         runs = [model for model in result if model.label == name]
         evaluated = [run.split or dataset.split for run in runs]
-        missing = [split.text for each in splits if (split := each or dataset.split) not in evaluated]
+        missing = [wanted.text for wanted in (split or dataset.split for split in splits) if wanted not in evaluated]
         if missing:
             what = f"model '{name}' has no run for split {', '.join(missing)}, which others have"
             how = "give the same folds of each model, or evaluate them separately"

@@ -3,7 +3,6 @@
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final, Literal
 
 import torch
@@ -28,25 +27,12 @@ FILE: Final = "memory_bank.safetensors"
 """File with the memory bank, in the folder of a run."""
 
 
-@dataclass(frozen=True)
-class NoveltySettings:
-    """Settings of the memory bank and the novelty threshold.
-
-    Attributes:
-        size: number of training cells whose features are stored.
-        neighbours: number of nearest stored features whose mean distance is used.
-        power: features are divided by their standard deviation to this power: 0 leaves them, 1 normalises them.
-        quantile: share of validation cells that count as known.
-        candidates: largest number of cells read per part and feature set.
-        seed: of the choice of stored cells.
-    """
-
-    size: int = 1024
-    neighbours: int = 3
-    power: float = 0.0
-    quantile: float = 0.99
-    candidates: int = 20_000
-    seed: int = 0
+SIZE, CANDIDATES = 1024, 20_000
+"""Number of training cells whose features are stored, and largest number read per part and feature set."""
+NEIGHBOURS: Final = 3
+"""Number of nearest stored features whose mean distance is used."""
+KNOWN: Final = 0.99
+"""Share of validation cells that count as known."""
 
 
 class MemoryBank(nn.Module):
@@ -96,25 +82,20 @@ class NoveltyMask(FeatureEncoder):
         return codes
 
 
-def fit_memory_bank(
-    training: Float[Tensor, "N F"], validation: Float[Tensor, "V F"], settings: NoveltySettings | None = None
-) -> MemoryBank:
+def fit_memory_bank(training: Float[Tensor, "N F"], validation: Float[Tensor, "V F"]) -> MemoryBank:
     """Choose features of training, and a threshold that most validation features are below.
 
     Raises:
-        DatasetError: a part has fewer cells than `neighbours`.
+        DatasetError: a part has fewer cells than `NEIGHBOURS`.
     """
-    settings = settings or NoveltySettings()
-    if min(len(training), len(validation)) < settings.neighbours:
+    if min(len(training), len(validation)) < NEIGHBOURS:
         what = f"{len(training)} cells of ground for training and {len(validation)} for validation"
         raise DatasetError(what, how="extract visual features of longer drives")
-    chosen = torch.randperm(len(training), generator=torch.Generator().manual_seed(settings.seed))[: settings.size]
+    chosen = torch.randperm(len(training), generator=torch.Generator().manual_seed(0))[:SIZE]
     bank = MemoryBank(len(chosen), training.shape[1])
-    deviation = training.double().std(dim=0).float()
-    bank.scale.copy_(torch.where(deviation > 0, deviation, torch.ones_like(deviation)) ** settings.power)
-    bank.kept.copy_(training[chosen].float() / bank.scale)
-    bank.neighbours.fill_(settings.neighbours)
-    bank.limit.copy_(bank.distance(validation).quantile(settings.quantile))
+    bank.kept.copy_(training[chosen].float())
+    bank.neighbours.fill_(NEIGHBOURS)
+    bank.limit.copy_(bank.distance(validation).quantile(KNOWN))
     return bank
 
 
@@ -132,17 +113,14 @@ def features_at_starts(dataset: Dataset, part: str, most: int) -> Float[Tensor, 
     return torch.cat(seen)
 
 
-def keep_memory_bank(run: Run, dataset: Dataset, settings: NoveltySettings | None = None) -> MemoryBank:
+def keep_memory_bank(run: Run, dataset: Dataset) -> MemoryBank:
     """Read the memory bank in a run's folder; if there is none, make and store it."""
-    settings = settings or NoveltySettings()
     if (run.folder / FILE).exists():
         return load_memory_bank(run)
-    training, validation = (features_at_starts(dataset, part, settings.candidates) for part in ("train", "validation"))
-    bank = fit_memory_bank(training, validation, settings)
+    bank = fit_memory_bank(*(features_at_starts(dataset, part, CANDIDATES) for part in ("train", "validation")))
     save_beside_weights(run.folder / FILE, bank.state_dict())
-    logger.info(
-        f"known ground of {run.folder.name}: {len(bank.kept)} cells, up to a distance of {float(bank.limit):.2f}"
-    )
+    known = f"{len(bank.kept)} cells, up to a distance of {float(bank.limit):.2f}"
+    logger.info(f"known ground of {run.folder.name}: {known}")
     return bank
 
 

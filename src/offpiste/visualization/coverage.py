@@ -55,12 +55,8 @@ class FeatureCoverage:
     unrelated: float
 
 
-def measure_coverage(dataset: Dataset, *, seed: int = 0) -> FeatureCoverage | None:
-    """Measure the coverage of a dataset's features; None if no drive has features by distance.
-
-    Args:
-        seed: of the random pairs of unrelated cells.
-    """
+def measure_coverage(dataset: Dataset) -> FeatureCoverage | None:
+    """Measure the coverage of a dataset's features; None if no drive has features by distance."""
     drives = [(drive, drive.rows.cells) for drive in dataset.drives]
     chosen = [(drive, own) for drive, own in drives if own is not None and _by_distance(own)]
     cells = [own for _, own in chosen]
@@ -77,7 +73,7 @@ def measure_coverage(dataset: Dataset, *, seed: int = 0) -> FeatureCoverage | No
         quartiles=feature_coverage.observation_quartiles(cells),
         apart=feature_coverage.differences(cells, span),
         apart_of_total=feature_coverage.differences(cells, total),
-        unrelated=feature_coverage.unrelated(cells, span, np.random.default_rng(seed)),
+        unrelated=feature_coverage.unrelated(cells, span, np.random.default_rng(0)),
     )
 
 

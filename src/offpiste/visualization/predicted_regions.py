@@ -57,11 +57,12 @@ def regions_chart(found: SpreadPrediction, recorded: Float[np.ndarray, "B T 2"],
         outlines = ellipses(found, number)
         shown = np.concatenate((np.zeros((1, 2)), path, predicted, *outlines))
         middle, half = (shown.min(axis=0) + shown.max(axis=0)) / 2, np.ptp(shown, axis=0).max() / 2 + MARGIN
-        sides = np.stack((middle - half, middle + half), axis=1).tolist()
-        lines = [Line("", *outline.T, BLUE, width=0.8, opacity=0.6) for outline in outlines]
+        (left, right), (low, high) = np.stack((middle - half, middle + half), axis=1).tolist()
+        lines = [Line("", x, y, BLUE, width=0.8, opacity=0.6) for x, y in (outline.T for outline in outlines)]
         for label, colour, places in (("recorded", RECORDED, path), ("predicted", BLUE, predicted)):
-            lines.append(Line(label, *np.concatenate((np.zeros((1, 2)), places)).T, colour, marker="o", marked="last"))
-        panels.append(Panel("x [m]", "y [m]", lines, x_range=tuple(sides[0]), y_range=tuple(sides[1]), equal=True))
+            x, y = np.concatenate((np.zeros((1, 2)), places)).T
+            lines.append(Line(label, x, y, colour, marker="o", marked="last"))
+        panels.append(Panel("x [m]", "y [m]", lines, x_range=(left, right), y_range=(low, high), equal=True))
     title = f"{display_name(model)}: regions that contain the vehicle with 50, 80 and 95 % after 1, 3 and 5 s"
     return Chart(panels, title)
 

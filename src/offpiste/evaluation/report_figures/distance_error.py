@@ -1,7 +1,6 @@
 """Figures of the distance error: box plot, distribution, growth with the horizon, dependence on initial speed."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -46,8 +45,9 @@ def distribution_plot(errors: Mapping[str, Float[np.ndarray, " n"]], *, title: s
         # Failed windows count, so that the curve of a model that fails never reaches 100 %.
         values = np.sort(errors[label])
         lines.append(Line(label, values, 100 * np.arange(1, len(values) + 1) / len(values), *style))
-    ranges: dict[str, Any] = {"x_range": (0.0, limit), "y_range": (0.0, 101.0)}
-    return Chart([Panel(QUANTITY, "Windows below [%]", lines, hover="y unified", **ranges)], title)
+    sides = (0.0, limit), (0.0, 101.0)
+    panel = Panel(QUANTITY, "Windows below [%]", lines, x_range=sides[0], y_range=sides[1], hover="y unified")
+    return Chart([panel], title)
 
 
 @report_figure(
