@@ -37,17 +37,11 @@ def plain(axes: Axes, title: str = "", *, grid: Literal["both", "x", "y"] = "bot
     return axes
 
 
-PATH_COLOURS = "plasma"
-"""Colour map of driven paths."""
-
-
 def coloured_path(
     axes: Axes, path: Float[np.ndarray, "n 2"], value: Float[np.ndarray, " n"], *, width: float = 1.8
 ) -> LineCollection:
     """Draw a path coloured by a value at its points, with gaps at unknown positions."""
-    pieces = LineCollection(
-        list(np.stack((path[:-1], path[1:]), axis=1)), cmap=PATH_COLOURS, linewidths=width, zorder=3
-    )
+    pieces = LineCollection(list(np.stack((path[:-1], path[1:]), axis=1)), cmap="plasma", linewidths=width, zorder=3)
     pieces.set_array((value[:-1] + value[1:]) / 2)
     axes.add_collection(pieces)
     return pieces
