@@ -21,7 +21,6 @@ MORE: Mapping[str, np.ndarray] = {
     "brake in %": 100 * QUANTITIES["brake"],
     "brake in bar": 60 * QUANTITIES["brake"],
     "brake in C": 300 + 50 * QUANTITIES["brake"],
-    "wheel in deg": np.rad2deg(QUANTITIES["wheel"]),
     "g": 1 + 0.02 * RNG.standard_normal(len(TIME)),
 }
 PLACES = {"Latitude": "latitude", "Longitude": "longitude"}
