@@ -110,14 +110,9 @@ def stack_cells(cells: Sequence[CellList], resolution: float, *, device: torch.d
         nothing = np.full((1, parts[0].shape[1]), np.nan, parts[0].dtype)
         return torch.from_numpy(np.concatenate([*parts, nothing])).to(device)
 
-    return CellStack(
-        resolution,
-        torch.as_tensor(np.stack([c.origin for c in cells]), dtype=torch.float64).to(device),
-        last_cells([c.shape for c in cells]).to(device),
-        torch.from_numpy(place).to(device),
-        listed([c.rise for c in cells]),
-        listed([c.features for c in cells]),
-    )
+    origin = torch.as_tensor(np.stack([c.origin for c in cells]), dtype=torch.float64)
+    grids = (each.to(device) for each in (origin, last_cells([c.shape for c in cells]), torch.from_numpy(place)))
+    return CellStack(resolution, *grids, listed([c.rise for c in cells]), listed([c.features for c in cells]))
 
 
 @dataclass(frozen=True)

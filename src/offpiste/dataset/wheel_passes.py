@@ -33,9 +33,7 @@ def find_passes(
     """Find the passes of a drive.
 
     Args:
-        time: of the rows, increasing [s].
-        xy: positions of the pose point in the world frame; NaN where unknown [m].
-        wheels: positions of the wheels [m].
+        time, xy, wheels: increasing times of the rows [s], and positions in the world frame, NaN where unknown [m].
         resolution: size of a cell [m].
         jumps: times before and after each jump of the poses, across which no pass continues [s].
     """

@@ -74,11 +74,7 @@ class TerrainSample:
 
 
 def stack_maps(maps: Sequence[TerrainMap], *, device: torch.device | str = "cpu") -> MapStack:
-    """Stack maps as tensors.
-
-    Raises:
-        ValueError: no map, or maps of different resolutions.
-    """
+    """Stack maps of one resolution as tensors."""
     if len({m.resolution for m in maps}) != 1:
         raise ValueError(f"maps of one resolution are needed, not {sorted({m.resolution for m in maps})}")
     ny, nx = (max(m.elevation.shape[axis] for m in maps) for axis in (0, 1))
@@ -86,17 +82,12 @@ def stack_maps(maps: Sequence[TerrainMap], *, device: torch.device | str = "cpu"
     features = np.full((len(maps), ny, nx, maps[0].features.shape[2]), np.nan, maps[0].features.dtype)
     for number, terrain in enumerate(maps):
         rows, columns = terrain.elevation.shape
-        slope[number, :rows, :columns] = _rise(terrain)
+        slope[number, :rows, :columns] = terrain.rise if terrain.rise is not None else _rise(terrain)
         features[number, :rows, :columns] = terrain.features
     origin = torch.as_tensor(np.stack([m.origin for m in maps]), dtype=torch.float64)
-    place = torch.device(device)
-    return MapStack(
-        maps[0].resolution,
-        origin.to(place),
-        last_cells([m.elevation.shape for m in maps]).to(place),
-        torch.from_numpy(slope).to(place),
-        torch.from_numpy(features).to(place),
-    )
+    last = last_cells([m.elevation.shape for m in maps])
+    tensors = (origin, last, torch.from_numpy(slope), torch.from_numpy(features))
+    return MapStack(maps[0].resolution, *(tensor.to(device) for tensor in tensors))
 
 
 def last_cells(shapes: Sequence[tuple[int, ...]]) -> Int[Tensor, "S 2"]:
@@ -105,8 +96,6 @@ def last_cells(shapes: Sequence[tuple[int, ...]]) -> Int[Tensor, "S 2"]:
 
 
 def _rise(terrain: TerrainMap) -> Float[np.ndarray, "ny nx 2"]:
-    if terrain.rise is not None:
-        return terrain.rise
     rise_y, rise_x = np.gradient(terrain.elevation.astype(np.float64), terrain.resolution)
     return np.stack((rise_x, rise_y), axis=-1)
 

@@ -335,23 +335,16 @@ class VoxelMap:
     A column keeps 31 levels from its lowest occupied voxel upwards, at any height; points more than 6.2 m above that
     voxel are dropped. Memory with voxels of 0.2 m and +-60 m: 53 MB for the columns, and 36 bytes per voxel ever in use
     without features, 68 with up to 8, 196 with up to 40, i.e. at most 350 MB for 1.5 million voxels of 40 features.
-
-    Attributes:
-        channels: number of features per voxel, F.
-        low: integer coordinates x, y of the lowest cell; cell i covers [i, i + 1) voxel sizes.
-        middle: height of the vehicle [m].
-        changes: number of insertions and moves so far.
-        voxels: arrays for compiled loops.
     """
 
     def __init__(self, channels: int, settings: VoxelSettings | None = None) -> None:
         self.settings = settings or VoxelSettings()
         n, slots = 2 * self.settings.half_cells, -(-self.settings.capacity // PARTS)
         width = FEATURES if channels == 0 else -(-(FEATURES + channels) // 16) * 16
+        # Integer coordinates x, y of the lowest cell; cell i covers [i, i + 1) voxel sizes.
         self.low: Int[np.ndarray, " 2"] = np.full(2, -self.settings.half_cells, np.int64)
-        self.middle = 0.0
-        self.changes = 0
-        self.channels = channels
+        self.middle, self.changes = 0.0, 0  # height of the vehicle [m]; number of insertions and moves so far
+        self.channels = channels  # number of features per voxel
         self.voxels = Voxels(
             heads=_aligned((n, n, 4), np.int32),
             changed=np.zeros((n, n), np.int32),
@@ -384,21 +377,10 @@ class VoxelMap:
         """Number of observations lost because `capacity` was exhausted."""
         return int(self.voxels.counts[:, LOST].sum())
 
-    @property
-    def nbytes(self) -> int:
-        """Memory in use [bytes]."""
-        used = int(self.voxels.counts[:, EVER].sum())
-        columns = self.voxels.heads.nbytes + self.voxels.changed.nbytes + self.voxels.slots.nbytes
-        return columns + used * (self.voxels.seen.strides[0] + 4)
-
     def recentre(self, xy: Float[np.ndarray, " 2"], z: float) -> None:
-        """Move the map by whole cells to centre it on the vehicle; columns outside the new range are dropped.
+        """Move the map by whole cells to centre it on the vehicle at xy, z [m]; columns outside it are dropped.
 
-        Args:
-            xy, z: position of the vehicle in the world [m].
-
-        Raises:
-            ValueError: the position is not finite, or beyond 1e8 cells from the world's origin.
+        Raises `ValueError` for a position that is not finite, or beyond 1e8 cells from the world's origin.
         """
         cell = np.floor(np.asarray(xy, np.float64) * self._scale + 0.5)
         if not (np.abs([*cell, z * self._scale]) < 1e8).all():
@@ -420,15 +402,13 @@ class VoxelMap:
     ) -> None:
         """Insert observations in the given order.
 
-        Points outside the map and non-finite points or distances are ignored, as are non-finite features.
+        Points outside the map and non-finite points or distances are ignored, as are non-finite features. Raises
+        `ValueError` for another number of channels than the map's.
 
         Args:
             points_world: float64 far from the world's origin [m].
             has_feature: mask of the points that have features.
             distance: distance from the sensor to each point [m].
-
-        Raises:
-            ValueError: the number of channels differs from the map's.
         """
         if features is None:
             features, has_feature = np.zeros((1, self.channels), np.float32), np.zeros(len(points_world), bool)

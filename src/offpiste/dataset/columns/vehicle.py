@@ -1,48 +1,43 @@
 """Columns of controls, actuators, states and surface normals, smoothed and causal."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
 
 from offpiste.core.conventions import ACTUATORS, CONTROL, DT, STATE, WHEELS
-from offpiste.dataset.columns import COLUMNS, Column, RowGrid
+from offpiste.dataset.columns import COLUMNS, Column, RowGrid, Segment
 from offpiste.logs.motion import across_jumps, driven_slope
 from offpiste.rig.rig import Rig
 
-ReadChannels = Callable[[RowGrid], Float[np.ndarray, "N k"]]
+
+def _controls(rig: Rig) -> dict[str, bool]:
+    """Return the channel of each control, and whether the rig's logs have it."""
+    return {control.name: control.name in rig.present_controls for control in rig.controls}
 
 
-def _controls(channel: Callable[[RowGrid, str], np.ndarray]) -> ReadChannels:
-    return lambda grid: np.column_stack([channel(grid, control.name) for control in grid.drive.rig.controls])
+def _actuators(rig: Rig) -> dict[str, bool]:
+    return {actuator.channel: actuator.name in rig.present_actuators for actuator in rig.actuators}
 
 
-def _actuators(channel: Callable[[RowGrid, str], np.ndarray]) -> ReadChannels:
-    return lambda grid: np.column_stack([channel(grid, actuator.channel) for actuator in grid.drive.rig.actuators])
+def _register(name: str, of: Callable[[Rig], dict[str, bool]], count: int, *segments: Segment) -> None:
+    """Register a column of several channels, causal if its name says so."""
+    channel = RowGrid.channel_causal if name.endswith("_causal") else RowGrid.channel
+
+    def read(grid: RowGrid) -> Float[np.ndarray, "N k"]:
+        return np.column_stack([channel(grid, each) for each in of(grid.drive.rig)])
+
+    COLUMNS.register(name)(Column(read, (count,), lambda rig: list(of(rig).values()), segments))
 
 
-def _has_controls(rig: Rig) -> Sequence[bool]:
-    return [control.name in rig.present_controls for control in rig.controls]
+_register("control", _controls, len(CONTROL), "ahead")
+_register("control_causal", _controls, len(CONTROL), "past")
+_register("actuators", _actuators, len(ACTUATORS), "target")
+_register("actuators_causal", _actuators, len(ACTUATORS), "past", "start")
 
-
-def _has_actuators(rig: Rig) -> Sequence[bool]:
-    return [actuator.name in rig.present_actuators for actuator in rig.actuators]
-
-
-COLUMNS.register("control")(Column(_controls(RowGrid.channel), (len(CONTROL),), _has_controls, ("ahead",)))
-COLUMNS.register("control_causal")(
-    Column(_controls(RowGrid.channel_causal), (len(CONTROL),), _has_controls, ("past",)),
-)
-COLUMNS.register("actuators")(Column(_actuators(RowGrid.channel), (len(ACTUATORS),), _has_actuators, ("target",)))
-COLUMNS.register("actuators_causal")(
-    Column(_actuators(RowGrid.channel_causal), (len(ACTUATORS),), _has_actuators, ("past", "start"))
-)
-
-COLUMNS.register("state")(
-    Column(read=lambda grid: grid.motion.state, shape=(len(STATE),), segments=("target",), relative=True)
-)
+COLUMNS.register("state")(Column(lambda grid: grid.motion.state, (len(STATE),), segments=("target",), relative=True))
 COLUMNS.register("state_causal")(
-    Column(read=lambda grid: grid.motion.state_causal, shape=(len(STATE),), segments=("past", "start"), relative=True)
+    Column(lambda grid: grid.motion.state_causal, (len(STATE),), segments=("past", "start"), relative=True)
 )
 
 
@@ -66,18 +61,9 @@ def _slope(grid: RowGrid, *, causal: bool) -> Float[np.ndarray, " N"]:
     return driven_slope(position, speed, dt=DT, length=rig.motion.slope_length, causal=causal)
 
 
-def _by_set_and_wheel(normal: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "1 N 4 3"]:
-    return np.repeat(normal[None, :, None], len(WHEELS), axis=2)
+def _by_set_and_wheel(grid: RowGrid) -> Float[np.ndarray, "1 N 4 3"]:
+    return np.repeat(_driven_normal(grid, causal=False)[None, :, None], len(WHEELS), axis=2)
 
 
-COLUMNS.register("normal")(
-    Column(
-        read=lambda grid: _by_set_and_wheel(_driven_normal(grid, causal=False)),
-        shape=(len(WHEELS), 3),
-        segments=("past", "ahead"),
-        by_feature_set=True,
-    )
-)
-COLUMNS.register("normal_causal")(
-    Column(read=lambda grid: _driven_normal(grid, causal=True), shape=(3,), segments=("past",))
-)
+COLUMNS.register("normal")(Column(_by_set_and_wheel, (len(WHEELS), 3), segments=("past", "ahead"), by_feature_set=True))
+COLUMNS.register("normal_causal")(Column(lambda grid: _driven_normal(grid, causal=True), (3,), segments=("past",)))
