@@ -3,16 +3,13 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 import torch
 
 from factories import circle_rows, small_rig
-from offpiste.core.errors import DatasetError, RunError
 from offpiste.dataset import store
 from offpiste.dataset.ground_truth_features import with_ground_truth
 from offpiste.dataset.splits import parse_split
 from offpiste.dataset.windows import Windows
-from offpiste.dynamics import Hybrid
 from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
 from offpiste.training.prediction import encoded, on_map
 from offpiste.training.run import build, vehicle_of
@@ -78,19 +75,6 @@ def test_recorded_and_predicted_places_read_the_same_ground(tmp_path):
         # Float32 places may fall on the other side of a border between cells.
         assert same.float().mean() > 0.99
         torch.testing.assert_close(found.latent, batch.terrain.latent[:, t], atol=1.0, rtol=1e-3)
-
-
-def test_a_model_of_features_refuses_a_dataset_without(tmp_path):
-    path = tmp_path / "plain.zarr"
-    store.create(path, small_rig(), SPLIT)
-    store.add_drive(path, "drive", circle_rows(2400), SPLIT, ())
-    plain = store.open_dataset(path)
-    with pytest.raises(RunError, match="dataset has none"):
-        build("df", vehicle_of(plain), seed=0)
-    df = build("df", vehicle_of(made(tmp_path / "data.zarr")), seed=0)
-    assert isinstance(df, Hybrid)
-    with pytest.raises(DatasetError, match="dataset has none"):
-        encoded(df, Windows(plain, "test").gather(np.array([0])))
 
 
 def test_maps_are_kept_only_where_predictions_are_evaluated(tmp_path):

@@ -14,7 +14,6 @@ from offpiste.core.files import temporary_folder
 from offpiste.dataset import store
 from offpiste.dataset.ground_truth_features import with_ground_truth
 from offpiste.dataset.map_snapshots import (
-    CHUNK,
     CellList,
     SnapshotSchedule,
     SnapshotSettings,
@@ -68,23 +67,6 @@ def test_only_known_cells_are_kept_and_come_back_in_their_places(tmp_path):
             column[np.isfinite(column)], (np.nonzero(known)[1] + first[0])[np.isfinite(column)]
         )
         assert (np.isnan(found.features).all(axis=2) == (~known | np.isnan(found.features[..., 0]))).all()
-
-
-def test_flat_ground_that_looks_of_nothing_is_kept(tmp_path):
-    level = TerrainMap(np.zeros(2), 0.25, np.zeros((300, 300), np.float32), np.zeros((300, 300, 2), np.float16), None)
-    level = dataclasses.replace(level, rise=np.zeros((300, 300, 2), np.float16))
-    writer = SnapshotWriter(tmp_path / "s", 0.25, 2)
-    for row in range(3):
-        writer.add(row, crop(level, np.array([30.0, 30.0, 0, 3.0, 0, 0])))
-    writer.close()
-    snapshots = open_snapshots(tmp_path / "s")
-    assert snapshots.first[-1] > 3 * CHUNK
-    for number in range(3):
-        found = snapshots.load(number)
-        known = np.isfinite(found.elevation)
-        assert known.sum() == snapshots.first[number + 1] - snapshots.first[number]
-        assert not found.elevation[known].any()
-        assert not found.features[known].any()
 
 
 def test_snapshots_keep_their_distance_and_their_number():

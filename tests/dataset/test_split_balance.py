@@ -10,7 +10,6 @@ from offpiste.dataset.extract import described
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.split_balance import (
     LEAST_WINDOWS,
-    complaints,
     fitting_split,
     lacks_windows,
     next_split,
@@ -76,12 +75,6 @@ def test_a_short_drive_gets_a_split_in_which_every_part_has_windows() -> None:
     assert all(part.windows >= LEAST_WINDOWS for part in part_facts(short.relabelled(split)))
     assert f"with --split {found.text}, or" in described(drive, data.split)
     assert fitting_split(dataset(at_speed(wandering(800))).drives, 0.0, 1.5) is None
-
-
-def test_turning_in_one_part_only_is_complained_of() -> None:
-    turning = np.where(np.arange(20000) < 14000, 0.4 * np.sin(np.arange(20000) / 300), 0.0)
-    said = list(complaints(part_facts(dataset(at_speed(wandering(20000), turning)))))
-    assert [line.split(" turns")[0] for line in said] == ["validation", "test"]
 
 
 def test_squares_that_leave_a_part_out_are_said_to() -> None:

@@ -14,7 +14,6 @@ from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.splits import (
     GAP,
     PARTS,
-    empty_parts,
     parse_split,
     refuse_places_without_origin,
 )
@@ -152,20 +151,6 @@ def test_places_in_degrees_without_a_common_origin_are_refused_in_one_line(tmp_p
 def test_what_is_no_split_is_an_error_that_shows_one(text):
     with pytest.raises(DatasetError, match=r"not a split.*blocks:0\.7,0\.1,0\.2"):
         parse_split(text)
-
-
-def test_parts_that_nothing_can_be_in_are_known(tmp_path):
-    (tmp_path / "split.txt").write_text("monday train\ntuesday validation\n")
-    assert empty_parts(parse_split(f"drives:{tmp_path / 'split.txt'}")) == ("test",)
-    assert empty_parts(parse_split("blocks:1,0,0")) == ("validation", "test")
-    assert empty_parts(parse_split("blocks:0.7,0.1,0.2")) == empty_parts(parse_split("places:50")) == ()
-
-
-@given(st.lists(st.booleans(), max_size=60), st.integers(0, 5), st.integers(1, 10))
-def test_window_starts_are_the_rows_with_everything_usable_around_them(usable, history, horizon):
-    usable = np.array(usable, dtype=bool)
-    wanted = [t for t in range(history, len(usable) - horizon) if usable[t - history : t + horizon + 1].all()]
-    assert window_starts(usable, history=history, horizon=horizon).tolist() == wanted
 
 
 def test_drives_go_where_their_file_says(tmp_path):

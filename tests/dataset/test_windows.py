@@ -4,10 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from factories import circle_rows, small_rig
-from feature_datasets import dataset_with_features
 from offpiste.core.conventions import (
     FEATURE_SETS,
     HISTORY_STEPS,
@@ -16,14 +14,12 @@ from offpiste.core.conventions import (
     min_evaluation_speed,
 )
 from offpiste.core.errors import DatasetError
-from offpiste.dataset.feature_sets import FeatureSetChoice
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import PARTS, parse_split
-from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
+from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.window_starts import enough_hindsight
 from offpiste.dataset.windows import Windows
-from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import load_rig, preset_names
 
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
@@ -106,19 +102,6 @@ def test_windows_start_above_the_speed_by_the_causal_estimate():
         Windows(dataset(rows), "train", min_speed=9.0)
 
 
-def test_models_that_read_no_features_get_the_same_windows_without(tmp_path: Path) -> None:
-    windows = Windows(dataset_with_features(tmp_path / "data.zarr", rows=400), "train")
-    without, index = windows.without_features(), np.array([3, 40, 7])
-    choice = FeatureSetChoice(np.array([[1], [0], [2]]), np.array([1, 0, 2]))
-    wanted, found = windows.gather(index, choice), without.gather(index, choice)
-    assert wanted.ground is not None
-    assert found.ground is None
-    assert without.sets == windows.sets > 1
-    assert torch.equal(found.terrain.normal, wanted.terrain.normal)
-    assert torch.equal(found.history.terrain.normal, wanted.history.terrain.normal)
-    assert torch.equal(found.target, wanted.target)
-
-
 def cells(index: list[list[int]], hindsight: list[bool], sets: int = len(FEATURE_SETS)) -> Cells:
     count = len(hindsight)
     valid = np.zeros((sets, count), bool)
@@ -141,26 +124,3 @@ def test_equal_froude_numbers_of_small_vehicles() -> None:
     np.testing.assert_allclose(speeds**2 / wheelbases, 1.5)
     slower = {name for name in preset_names() if min_evaluation_speed(load_rig(name).vehicle.wheelbase) < 1.5}
     assert slower == {"dart", "dart_filtered"}
-
-
-def slow_circle(path: Path, wheelbase: float) -> Path:
-    """A circle at 1 m/s by a vehicle of that wheelbase."""
-    wheels = [[wheelbase, 0.1], [wheelbase, -0.1], [0.0, 0.1], [0.0, -0.1]]
-    rig, split = edited(small_rig(), [Edit("vehicle.wheel_positions", wheels)]), parse_split("blocks:1.0,0.0,0.0")
-    create(path, rig, split)
-    rows = circle_rows(400)
-    speed = float(np.hypot(*rows.state_causal[0, 3:5]))
-    rows.state_causal[:, 3:5] /= speed
-    add_drive(path, "circle", rows, split, ())
-    return path
-
-
-def test_the_dataset_says_where_its_windows_start(tmp_path: Path) -> None:
-    small = open_dataset(slow_circle(tmp_path / "small.zarr", 0.175))
-    assert small.min_speed == pytest.approx(0.5123, abs=1e-4)
-    assert len(Windows(small, "train")) > 0
-    with pytest.raises(DatasetError, match=r"starts above 1\.2 m/s"):
-        Windows(small, "train", min_speed=1.2)
-    large = open_dataset(slow_circle(tmp_path / "large.zarr", 2.0))
-    with pytest.raises(DatasetError, match=r"starts above 1\.5 m/s"):
-        Windows(large, "train")

@@ -56,16 +56,6 @@ def test_reflected_returns_are_found():
     assert found[ghosts].mean() > 0.9
 
 
-def test_ground_that_is_seen_below_branches_stays():
-    points = spinning_scan(rolling, SENSOR, rings=40, columns=256, furthest=25.0)
-    rng = np.random.default_rng(0)
-    away, turn = rng.uniform(3, 9, 3000), rng.uniform(-1, 1, 3000)
-    branches = np.stack((away * np.cos(turn), away * np.sin(turn), rng.uniform(0.7, 1.3, 3000)), axis=1)
-    under = (np.linalg.norm(points[:, :2], axis=1) < 8.5) & (np.abs(np.arctan2(points[:, 1], points[:, 0])) < 1)
-    scan = np.concatenate((branches, points[~under | (rng.random(len(points)) < 0.1)]))  # few rays come through
-    assert not GhostFinder().find(scan, SENSOR).any()
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_loops_agree_with_plain_numpy(seed):
     rng = np.random.default_rng(seed)

@@ -50,16 +50,6 @@ def test_equals_the_singular_vectors_of_all_patches():
     assert np.allclose(np.cov(components.reshape(-1, 4).numpy().T), np.diag(pca.variance), atol=1e-4)
 
 
-def test_only_ground_counts():
-    features = torch.from_numpy(correlated(2 * 3 * 4, 5)).reshape(2, 3, 4, 5).float()
-    ground = np.zeros((2, 3, 4), bool)
-    ground[0, [2, 0], [0, 3]] = True
-    spoiled = torch.where(torch.from_numpy(ground)[..., None], features, torch.nan)
-    moments = Moments.none(5).add(spoiled, ground)
-    assert moments.count == 2
-    assert np.allclose(moments.mean, (features[0, 2, 0] + features[0, 0, 3]) / 2)
-
-
 def test_directions_without_variance_make_no_components():
     assert fit(Moments.of(correlated(5, 12)), BACKBONE).components == 4
     features = correlated(200, 6)

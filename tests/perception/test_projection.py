@@ -19,7 +19,6 @@ from offpiste.perception.projection import (
     Projection,
     occluded_points,
     project,
-    project_to_pinhole,
 )
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource, LidarSource
@@ -57,14 +56,6 @@ def test_by_hand():
     assert found.row.tolist() == [6, 4, 8]
     np.testing.assert_allclose(found.distance, np.linalg.norm(points, axis=1))
     assert found.seen.all()
-
-
-def test_the_middle_of_the_first_pixel_is_the_origin():
-    at = np.array([[-0.51, 0.0], [-0.49, 0.0], [159.49, 119.49], [159.51, 0.0]])
-    rays = np.column_stack(((at - [79.5, 59.5]) / 100, np.ones(4)))
-    found, pixels = project_to_pinhole(rays, CameraModel(160, 120, MATRIX))
-    assert found.tolist() == [1, 2]
-    np.testing.assert_allclose(pixels, at[1:3])
 
 
 def test_a_sweep_is_unbent_while_the_vehicle_drives_and_turns():
@@ -212,13 +203,3 @@ def test_occlusion_is_as_defined(seed, reach):
     np.testing.assert_array_equal(
         occluded_points(pixels, depth, (60, 60), reach=reach), plain_occlusion(pixels, depth, reach)
     )
-
-
-def test_occlusion_by_hand():
-    around = np.array([[30.0, 24.0], [36.0, 30.0], [30.0, 36.0], [24.0, 30.0], [30.0, 30.0]])
-    depth = np.array([5.0, 5.0, 5.0, 5.0, 9.0])
-    assert occluded_points(around, depth, (60, 60), reach=8.0).tolist() == [False] * 4 + [True]
-    assert not occluded_points(around, depth, (60, 60), reach=4.0).any()  # too far away
-    assert not occluded_points(around[[0, 1, 4]], depth[[0, 1, 4]], (60, 60), reach=8.0).any()  # one side is open
-    assert not occluded_points(around, np.where(depth == 9, 5.5, depth), (60, 60), reach=8.0).any()  # the same surface
-    assert len(occluded_points(np.zeros((0, 2)), np.zeros(0), (60, 60), reach=8.0)) == 0

@@ -1,4 +1,4 @@
-"""Comparison of the parts of a split by windows, speed and turn rate, and the search for a better split."""
+"""Comparison of the parts of a split by windows and speed, and the search for a better split."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,12 +22,8 @@ MEDIANS: Final = 1.5
 """Smallest ratio of the median speeds for which that distance counts: small parts scatter."""
 MOST_RATIO: Final = 2.5
 """Largest ratio of the median speeds at window starts."""
-MOST_TURNING: Final = 5.0
-"""Largest ratio of the 90 % quantiles of the turn rates at window starts."""
 _STANDING: Final = 0.3
 """Speed below which the vehicle counts as standing [m/s]."""
-_LEAST_TURN: Final = 0.05
-"""Turn rate below which the vehicle counts as driving straight [rad/s]."""
 _LITTLE: Final = 600.0
 """Driving time in training below which `parametric` is proposed as the first model [s]."""
 _FOR_SHORT_DRIVES: Final = (
@@ -39,7 +35,7 @@ _FOR_SHORT_DRIVES: Final = (
 
 @dataclass(frozen=True)
 class PartFacts:
-    """Driving in one part of a dataset; numbers at window starts are NaN without windows."""
+    """Driving in one part of a dataset."""
 
     name: str
     windows: int  # number of windows above `min_speed`
@@ -47,8 +43,7 @@ class PartFacts:
     moving: float  # time above `min_speed` [s]
     speed: Float[np.ndarray, " n"]  # of complete rows, sorted [m/s]
     median: float  # of `speed` [m/s]
-    start_speed: float  # median at window starts [m/s]
-    turning: float  # 90 % quantile of the turn rate at window starts [rad/s]
+    start_speed: float  # median at window starts, NaN without windows [m/s]
 
     def __str__(self) -> str:
         return f"{self.name} {self.windows} windows, median speed {self.median:.1f} m/s, {self.moving:.0f} s moving"
@@ -61,22 +56,16 @@ def part_facts(dataset: Dataset) -> tuple[PartFacts, ...]:
 
 
 def _facts(dataset: Dataset, part: str) -> PartFacts:
-    speeds, starts, turns = [], [], []
+    speeds, starts = [], []
     for drive in dataset.drives:
         mine, rows = drive.part == PARTS.index(part), drive.rows
         speed = np.hypot(rows.state[:, 3], rows.state[:, 4])
-        first = evaluation_starts(rows, mine, dataset.min_hindsight, dataset.min_speed)
         speeds.append(speed[mine & rows.valid])
-        starts.append(speed[first])
-        turns.append(np.abs(rows.state[first, 5]))
-    speed, start, turn = (np.concatenate(each) for each in (speeds, starts, turns))
+        starts.append(speed[evaluation_starts(rows, mine, dataset.min_hindsight, dataset.min_speed)])
+    speed, start = (np.concatenate(each) for each in (speeds, starts))
     moving = float((speed > dataset.min_speed).sum() * DT)
-    numbers = (_quantile(speed, 0.5), _quantile(start, 0.5), _quantile(turn, 0.9))
-    return PartFacts(part, len(start), dataset.min_speed, moving, np.sort(speed), *numbers)
-
-
-def _quantile(values: Float[np.ndarray, " n"], share: float) -> float:
-    return float(np.quantile(values, share)) if len(values) else np.nan
+    medians = (float(np.median(values)) if len(values) else np.nan for values in (speed, start))
+    return PartFacts(part, len(start), dataset.min_speed, moving, np.sort(speed), *medians)
 
 
 def speed_distance(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " m"]) -> float:
@@ -97,8 +86,6 @@ def complaints(facts: Sequence[PartFacts]) -> Iterator[str]:
         shifted = shifted and _ratio(train.median, part.median, _STANDING) > MEDIANS
         if shifted or _ratio(train.start_speed, part.start_speed, train.min_speed) > MOST_RATIO:
             yield f"{part.name} drives at a median of {part.median:.1f} m/s, train at {train.median:.1f} m/s"
-        elif _ratio(train.turning, part.turning, _LEAST_TURN) > MOST_TURNING:
-            yield f"{part.name} turns at {part.turning:.2f} rad/s (90 %), train at {train.turning:.2f} rad/s"
 
 
 def _ratio(one: float, other: float, least: float) -> float:

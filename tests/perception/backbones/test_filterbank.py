@@ -12,10 +12,7 @@ from offpiste.perception.backbones.filterbank import (
     ORIENTATIONS,
     SCALES,
     Filterbank,
-    derivatives,
-    oriented_filters,
 )
-from offpiste.perception.filter_responses import PRODUCTS, TAPS
 
 TEXTURE = slice(6, 6 + 2 * ORIENTATIONS * len(SCALES))
 """After 3 of colour and 3 of its spread."""
@@ -73,13 +70,3 @@ def test_loops_give_the_features_of_torch(shape: tuple[int, int, int]):
     assert features.dtype == torch.float32
     assert features.shape == expected.shape
     assert torch.allclose(features, expected, rtol=0, atol=5e-5)
-
-
-@pytest.mark.parametrize("scale", [0.7, 1.0, 2.0, 3.1])
-def test_products_of_lines_make_the_filters(scale: float):
-    filters, expected = derivatives(scale), oriented_filters(scale)[:, 0].numpy()
-    lines = filters.lines[:, : filters.size]
-    assert not filters.lines[:, filters.size :].any()
-    assert filters.lines.shape[1] % TAPS == 0
-    products = np.stack([np.outer(lines[down], lines[across]) for across, down in PRODUCTS])
-    np.testing.assert_allclose(np.einsum("kp,pij->kij", filters.weights, products), expected, atol=2e-7)
