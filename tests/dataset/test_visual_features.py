@@ -1,6 +1,5 @@
 """Visual features by distance from a simulated drive with camera and LiDAR, against the simulator's truth."""
 
-import copy
 import shutil
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import torch
 
 from log_messages import logged
 from offpiste.cli import main
-from offpiste.core.conventions import FEATURE_SETS, PERCEPTION_LATENCY
+from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.errors import DatasetError, LogError
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.splits import parse_split, write_drives
@@ -18,12 +17,8 @@ from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.inspection.extract import extract
 from offpiste.logs.ground_truth import read_truth_map
-from offpiste.logs.log import open_log
-from offpiste.logs.sensor_log import open_sensors
-from offpiste.mapping.replay import pinhole_cameras, replay
 from offpiste.mapping.terrain_map import wheel_positions
 from offpiste.perception.backbones import open_backbone
-from offpiste.perception.feature_extractor import load_feature_extractor
 from offpiste.rig.rig import load_rig
 from offpiste.simulation.simulate import DriveSettings, simulate
 from offpiste.simulation.world.grids import read_grid
@@ -120,36 +115,6 @@ def test_what_the_map_did_not_know_is_said_to_be_unknown(dataset: Dataset) -> No
     assert (np.abs(np.linalg.norm(normal[~unknown], axis=-1) - 1) < 1e-3).all()
     index = Windows(dataset, "test").every(25)
     assert torch.isfinite(Windows(dataset, "test", feature_set="40").gather(index).terrain.normal).all()
-
-
-def test_snapshots_hold_what_the_map_held_when_their_windows_start(dataset: Dataset, folder: Path) -> None:
-    rows, snapshots = dataset.drives[0].rows, dataset.drives[0].snapshots
-    assert (np.diff(snapshots.row) >= 25).all()
-    log, extractor = open_log(folder / "drive.mcap"), load_feature_extractor(folder / "pca.safetensors")
-    sensors = open_sensors(log, dataset.rig)
-    moments = replay(sensors, pinhole_cameras(sensors, extractor.patch), extractor.extract, extractor.channels)
-    assert snapshots.latency == PERCEPTION_LATENCY
-    compared, before, after = 0, -np.inf, rows.time[snapshots.row]
-    held, pose_stamps = None, sensors.poses.position.time
-    for moment in moments:
-        # All of a sweep is measured a latency before, and the pose after its last point is there.
-        assert moment.measured > moment.time + 0.05
-        placed = pose_stamps[np.searchsorted(pose_stamps, moment.measured)]
-        assert moment.placed >= placed
-        ready = max(moment.measured + PERCEPTION_LATENCY, moment.placed)
-        for number in np.flatnonzero((after >= before) & (after < ready)):
-            found = snapshots.load(int(number))
-            low = np.round((found.origin - held.origin) / found.resolution).astype(int)
-            ny, nx = found.elevation.shape
-            there = held.features[low[1] : low[1] + ny, low[0] : low[0] + nx].astype(np.float16)
-            known = np.isfinite(found.elevation)
-            np.testing.assert_array_equal(found.features[known], there[known])
-            assert known.sum() > 1000
-            compared += 1
-        if compared >= 3:
-            return
-        before, held = ready, copy.deepcopy(moment.layers.terrain_map())
-    raise AssertionError("too few snapshots")
 
 
 def test_what_cannot_be_extracted_ends_in_one_line_and_good_drives_stay(folder: Path, tmp_path: Path) -> None:

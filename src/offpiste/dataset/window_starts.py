@@ -1,15 +1,10 @@
-"""Starts of windows and the rows that windows hold."""
-
-from collections.abc import Mapping
-from dataclasses import dataclass
+"""Starts of windows."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
-from torch import Tensor
+from jaxtyping import Bool, Int
 
 from offpiste.core.conventions import DT, FEATURE_SETS, HISTORY_STEPS, HORIZON_STEPS, MIN_EVALUATION_SPEED
 from offpiste.core.errors import DatasetError
-from offpiste.dataset.columns import Column, Segment
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import part_number
@@ -75,19 +70,3 @@ def no_window(dataset: Dataset, part: str, horizon: int, min_speed: float) -> Da
         what = f"{what}, and no row (split {dataset.split.text}, {count} drive{'s' * (count > 1)})"
         how = "extract more or longer drives"
     return DatasetError(what, where=dataset.path, how=f"{how}, or choose another --split")
-
-
-@dataclass(frozen=True)
-class Segments:
-    """Rows of the dataset in a batch of windows."""
-
-    rows: Mapping[Segment, Tensor]
-    place: Float[Tensor, "B 6"]  # px, py and whole turns of the yaw at the start, subtracted from `relative` columns
-
-    def of(self, values: Tensor, column: Column) -> dict[Segment, Tensor]:
-        """Return the segments that a column declares."""
-        result = {segment: values[self.rows[segment]] for segment in column.segments}
-        if column.relative:
-            for segment, part in result.items():
-                result[segment] = part - (self.place if segment == "start" else self.place[:, None])
-        return result

@@ -22,7 +22,7 @@ from offpiste.dataset.resample import OWN_COLUMNS
 from offpiste.dataset.splits import part_number
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.window_maps import WindowMaps
-from offpiste.dataset.window_starts import Segments, evaluation_starts, no_window
+from offpiste.dataset.window_starts import evaluation_starts, no_window
 
 UNIT_TOLERANCE = 1e-3
 """Largest deviation of a stored normal's squared length from 1."""
@@ -168,8 +168,7 @@ class Windows:
     def gather(self, index: Int[np.ndarray, " B"], feature_set_choice: FeatureSetChoice | None = None) -> Batch:
         """Gather a batch of windows, with their default feature set or a choice of sets."""
         feature_set_choice = feature_set_choice or same_feature_set(len(index), self._set)
-        segments = self._segments(index)
-        read = {name: segments.of(values, COLUMNS[name]) for name, values in self._columns.items()}
+        read = self._segments(index)
         first, count = self.rows[index] - HISTORY_STEPS, HISTORY_STEPS + self.horizon
         terrain = self._terrain(first, count, feature_set_choice)
         before, after = terrain.rows(slice(HISTORY_STEPS)), terrain.rows(slice(HISTORY_STEPS, None))
@@ -192,15 +191,23 @@ class Windows:
             extra=extra,
         )
 
-    def _segments(self, index: Int[np.ndarray, " B"]) -> Segments:
+    def _segments(self, index: Int[np.ndarray, " B"]) -> dict[str, dict[Segment, Tensor]]:
+        """Return the declared segments of each column, `relative` ones from px, py and whole turns at the start."""
         t = torch.as_tensor(self.rows[index], device=self.device)
         ahead = t[:, None] + torch.arange(self.horizon, device=self.device)
         past = t[:, None] + torch.arange(-HISTORY_STEPS, 0, device=self.device)
+        rows: dict[Segment, Tensor] = {"past": past, "start": t, "ahead": ahead, "target": ahead + 1}
         start = self._columns["state_causal"][t]
         place = torch.zeros_like(start)
         place[:, :2] = start[:, :2]
         place[:, 2] = start[:, 2] - wrap_angle(start[:, 2])
-        return Segments({"past": past, "start": t, "ahead": ahead, "target": ahead + 1}, place)
+        result = {}
+        for name, values in self._columns.items():
+            parts = {segment: values[rows[segment]] for segment in COLUMNS[name].segments}
+            if COLUMNS[name].relative:
+                parts = {key: part - (place if key == "start" else place[:, None]) for key, part in parts.items()}
+            result[name] = parts
+        return result
 
     def _terrain(self, first: Int[np.ndarray, " B"], count: int, choice: FeatureSetChoice) -> Terrain:
         """Return the ground at rows from `first`, refusing normals that are neither unit vectors nor unknown cells.

@@ -87,87 +87,80 @@ def test_other_families_are_refused():
         VisionTransformer(made("ViT", image_size=32, **sizes), name="google")
 
 
-class TestWeights:
-    """From a folder, the cache or the hub."""
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A small model as a user would save it."""
+    torch.manual_seed(1)
+    sizes = {"hidden_size": 32, "num_attention_heads": 2, "num_hidden_layers": 2, "image_size": 70}
+    lively(made("Dinov2", patch_size=14, **sizes)).save_pretrained(tmp_path / "tiny")
+    return tmp_path / "tiny"
 
-    @pytest.fixture
-    def folder(self, tmp_path: Path) -> Path:
-        torch.manual_seed(1)
-        sizes = {"hidden_size": 32, "num_attention_heads": 2, "num_hidden_layers": 2, "image_size": 70}
-        lively(made("Dinov2", patch_size=14, **sizes)).save_pretrained(tmp_path / "tiny")
-        return tmp_path / "tiny"
 
-    def test_a_folder_gives_back_what_was_saved(self, folder: Path):
-        image = np.random.default_rng(0).integers(0, 256, size=(1, 42, 56, 3), dtype=np.uint8)
-        opened = open_backbone(str(folder))
-        from transformers import Dinov2Model
+def test_a_folder_gives_back_what_was_saved_with_its_own_normalisation(folder: Path):
+    from transformers import Dinov2Model
 
-        saved = VisionTransformer(Dinov2Model.from_pretrained(folder), name="same")
-        assert opened.fingerprint == saved.fingerprint
-        assert torch.equal(opened(image), saved(image))
+    image = np.random.default_rng(0).integers(0, 256, size=(1, 42, 56, 3), dtype=np.uint8)
+    opened, saved = open_backbone(str(folder)), VisionTransformer(Dinov2Model.from_pretrained(folder), name="same")
+    assert opened.fingerprint == saved.fingerprint
+    assert torch.equal(opened(image), saved(image))
+    constants = {"image_mean": [0.43, 0.411, 0.296], "image_std": [0.213, 0.156, 0.143]}
+    (folder / "preprocessor_config.json").write_text(json.dumps(constants))
+    settings = open_backbone(str(folder)).settings()
+    assert (settings["mean"], settings["std"]) == (constants["image_mean"], constants["image_std"])
 
-    def test_the_models_own_normalisation_is_used(self, folder: Path):
-        constants = {"image_mean": [0.43, 0.411, 0.296], "image_std": [0.213, 0.156, 0.143]}
-        (folder / "preprocessor_config.json").write_text(json.dumps(constants))
-        settings = open_backbone(str(folder)).settings()
-        assert (settings["mean"], settings["std"]) == (constants["image_mean"], constants["image_std"])
 
-    @pytest.mark.parametrize("content", ["{", '{"image_mean": [0.5], "image_std": [1]}'])
-    def test_a_broken_normalisation_is_named(self, folder: Path, content: str):
-        (folder / "preprocessor_config.json").write_text(content)
-        with pytest.raises(PerceptionError, match=r"preprocessor_config.json: no image_mean"):
-            open_backbone(str(folder))
+def only_a_pickle(folder: Path) -> None:
+    (folder / "model.safetensors").unlink()
+    torch.save({"never": torch.zeros(1)}, folder / "pytorch_model.bin")
 
-    def test_pickles_are_not_loaded(self, folder: Path):
-        (folder / "model.safetensors").unlink()
-        torch.save({"never": torch.zeros(1)}, folder / "pytorch_model.bin")
-        with pytest.raises(PerceptionError, match="safetensors"):
-            open_backbone(str(folder))
 
-    def test_weights_of_another_depth_are_not_filled_up_at_random(self, folder: Path):
-        config = json.loads((folder / "config.json").read_text())
-        (folder / "config.json").write_text(json.dumps({**config, "num_hidden_layers": 3}))
-        with pytest.raises(PerceptionError, match=r"weights lack encoder.layer.2.* others; download them again"):
-            open_backbone(str(folder))
+def deeper(folder: Path) -> None:
+    config = json.loads((folder / "config.json").read_text())
+    (folder / "config.json").write_text(json.dumps({**config, "num_hidden_layers": 3}))
 
-    def test_a_name_that_is_none(self):
-        with pytest.raises(PerceptionError, match=r"^no/such thing: is neither a folder nor the name of a model"):
-            open_backbone("no/such thing")
 
-    def test_a_folder_that_is_spelled_wrong(self, folder: Path):
-        wrong = f"{folder.parent}/{folder.name[:-1]}"
-        with pytest.raises(PerceptionError, match=f"neither a folder .*did you mean '{folder.name}'"):
-            open_backbone(wrong)
+@pytest.mark.parametrize(
+    ("file", "content", "said"),
+    [
+        ("preprocessor_config.json", b"{", r"preprocessor_config.json: no image_mean"),
+        ("preprocessor_config.json", b'{"image_mean": [0.5], "image_std": [1]}', r"preprocessor_config.json: no image"),
+        ("model.safetensors", b"", "cannot read a vision transformer"),
+        ("model.safetensors", b"\xff" * 64, "cannot read a vision transformer"),
+        (None, only_a_pickle, r"lacks model\.safetensors; give a folder"),
+        (None, deeper, r"weights lack encoder.layer.2.* others; download them again"),
+    ],
+)
+def test_unusable_weights_end_in_one_line(folder: Path, file: str | None, content: object, said: str):
+    if file is None:
+        content(folder)
+    else:
+        (folder / file).write_bytes(content)
+    with pytest.raises(PerceptionError, match=said):
+        open_backbone(str(folder))
 
-    def test_what_is_no_folder_of_weights(self, tmp_path: Path):
-        (tmp_path / "w.pth").write_bytes(b"PK")
-        with pytest.raises(PerceptionError, match=r"w\.pth: is a file, not a folder.*with config\.json"):
-            open_backbone(str(tmp_path / "w.pth"))
-        (tmp_path / "empty").mkdir()
-        with pytest.raises(PerceptionError, match=r"lacks config\.json and model\.safetensors; give"):
-            open_backbone(str(tmp_path / "empty"))
-        (tmp_path / "empty/config.json").write_text("{}")
-        with pytest.raises(PerceptionError, match=r"lacks model\.safetensors; give a folder"):
-            open_backbone(str(tmp_path / "empty"))
 
-    @pytest.mark.parametrize("content", [b"", b"\xff" * 64])
-    def test_damaged_weights_end_in_a_line(self, folder: Path, content: bytes):
-        (folder / "model.safetensors").write_bytes(content)
-        with pytest.raises(PerceptionError, match="cannot read a vision transformer"):
-            open_backbone(str(folder))
+def test_names_that_are_no_weights(folder: Path, tmp_path: Path):
+    (tmp_path / "w.pth").write_bytes(b"PK")
+    (tmp_path / "empty").mkdir()
+    for name, said in (
+        ("no/such thing", r"^no/such thing: is neither a folder nor the name of a model"),
+        (f"{folder.parent}/{folder.name[:-1]}", f"neither a folder .*did you mean '{folder.name}'"),
+        (str(tmp_path / "w.pth"), r"w\.pth: is a file, not a folder.*with config\.json"),
+        (str(tmp_path / "empty"), r"lacks config\.json and model\.safetensors; give"),
+    ):
+        with pytest.raises(PerceptionError, match=said):
+            open_backbone(name)
 
-    def test_no_network_and_no_cache(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-        def refuse(*_: object, **__: object) -> None:
-            raise OSError("Name or service not known")
 
-        monkeypatch.setattr("huggingface_hub.snapshot_download", refuse)
-        monkeypatch.setattr("huggingface_hub.HfApi.model_info", refuse)
-        with pytest.raises(PerceptionError) as caught:
-            open_backbone()
-        message = str(caught.value)
-        assert message.startswith(
-            "facebook/dinov2-small: weights are not in the hub's cache and could not be downloaded"
-        )
-        assert "hf download facebook/dinov2-small" in message
-        assert message.endswith("or use the backbone filterbank, which needs no weights")
-        assert "\n" not in message
+def test_no_network_and_no_cache(monkeypatch: pytest.MonkeyPatch):
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError("Name or service not known")
+
+    monkeypatch.setattr("huggingface_hub.snapshot_download", refuse)
+    monkeypatch.setattr("huggingface_hub.HfApi.model_info", refuse)
+    with pytest.raises(PerceptionError) as caught:
+        open_backbone()
+    message = str(caught.value)
+    assert message.startswith("facebook/dinov2-small: weights are not in the hub's cache and could not be downloaded")
+    assert "hf download facebook/dinov2-small" in message
+    assert message.endswith("or use the backbone filterbank, which needs no weights")
