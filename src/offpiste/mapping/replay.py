@@ -60,11 +60,7 @@ class Keyframes:
         self._held: dict[str, Keyframe] = {}
 
     def due(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> bool:
-        """Return whether an image becomes a keyframe, by the travel or the time since the camera's last one.
-
-        Args:
-            pose: `world_from_body` at the image's time.
-        """
+        """Return whether an image at pose `world_from_body` becomes a keyframe, by travel or time since the last one."""
         if image.camera not in self._held:
             return True
         before = self._held[image.camera].view
@@ -118,12 +114,7 @@ class SensorMapper:
         self.keyframes.add(image.camera, image.time, pose, self._extract(pixels), pixels)
 
     def add_scan(self, scan: Cloud, poses: Poses, pose: Float[np.ndarray, "4 4"]) -> MappedScan:
-        """Insert a scan into the map.
-
-        Args:
-            poses: poses over the whole scan; points at unknown poses or across a jump are dropped.
-            pose: `world_from_body` at the scan's time.
-        """
+        """Insert a scan at pose `world_from_body`, without points at unknown `poses` or across a jump of them."""
         recent = self.keyframes.recent(scan.time)
         lidar = self._lidars[scan.lidar]
         points = points_in_world(scan, lidar, poses)

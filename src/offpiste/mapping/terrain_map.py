@@ -125,11 +125,6 @@ class TerrainLayers:
     valid: Bool[np.ndarray, "ny nx"] = field(metadata=_layer(dtype=bool))  # cell has features
 
     @property
-    def unknown(self) -> Bool[np.ndarray, "ny nx"]:
-        """Cells without ground, which planners avoid."""
-        return ~self.known
-
-    @property
     def centres(self) -> Float[np.ndarray, "ny nx 2"]:
         """World positions x, y of the cells' centres [m]."""
         ny, nx = self.known.shape
@@ -138,10 +133,7 @@ class TerrainLayers:
         return np.stack(np.meshgrid(x, y), axis=-1)
 
     def cropped(self, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]) -> "TerrainLayers":
-        """Return the cells whose centres lie in a box of the world frame, with a border of one cell; shares memory.
-
-        A box off the map gives the nearest cells of its border.
-        """
+        """Return the cells whose centres lie in a box, with a border of one cell or the nearest; shares memory."""
         window, origin = _window(self, low, high)
         return replace(self, origin=origin, **{layer.name: getattr(self, layer.name)[window] for layer in LAYERS})
 
