@@ -60,7 +60,7 @@ class Keyframes:
         self._held: dict[str, Keyframe] = {}
 
     def due(self, image: Image, pose: Float[np.ndarray, "4 4"]) -> bool:
-        """Return whether an image at pose `world_from_body` becomes a keyframe, by travel or time since the last one."""
+        """Return whether an image at pose `world_from_body` becomes a keyframe, by travel or time since the last."""
         if image.camera not in self._held:
             return True
         before = self._held[image.camera].view
