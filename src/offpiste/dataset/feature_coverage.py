@@ -18,8 +18,7 @@ from offpiste.dataset.wheel_passes import Passes
 PAPER_RATES: Final = (1.0, 0.87, 0.92, 0.92, 0.84, 0.65, 0.42, 0.21)
 """Valid rates by feature set in the paper ("occlusion percentages")."""
 
-CENTRAL: Final = (1.0, 99.0)
-"""Percentiles of a feature's range, robust against a few cells."""
+CENTRAL: Final = (1.0, 99.0)  # percentiles of a feature's range, robust against a few cells
 
 HINDSIGHT: Final = FEATURE_SETS.index("hindsight")
 

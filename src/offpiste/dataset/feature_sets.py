@@ -13,8 +13,7 @@ from offpiste.dataset.wheel_passes import Passes
 from offpiste.mapping.voxels_to_layers import MapCells
 from offpiste.native.compilation import FEATURE_SETS_KEPT, single_threaded_torch
 
-TOLERANCE = 5.0
-"""Largest difference between the distance of a feature set and the vehicle's at recording [m]."""
+TOLERANCE = 5.0  # largest difference between the distance of a feature set and the vehicle's at recording [m]
 
 DISTANCES = np.array([float(name) for name in FEATURE_SETS[1:]])
 """Distances of the feature sets, hindsight excluded [m]."""

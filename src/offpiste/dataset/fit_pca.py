@@ -29,8 +29,7 @@ from offpiste.rig.rig import Rig
 
 logger = logging.getLogger(__name__)
 
-SPACING = 2.0
-"""Distance between candidate images of a camera [m]."""
+SPACING = 2.0  # distance between candidate images of a camera [m]
 
 
 class ListedImage(NamedTuple):

@@ -16,8 +16,7 @@ from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
 from offpiste.mapping.terrain_sampler import sample_maps, stack_maps
 from offpiste.rig.rig import Rig
 
-REACH = 75.0
-"""Reach of a prediction of 5 s around the driven path [m]."""
+REACH = 75.0  # reach of a prediction of 5 s around the driven path [m]
 
 FeatureSource = Literal["none", "ground-truth", "ground-kind"]
 

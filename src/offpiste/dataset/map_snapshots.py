@@ -26,14 +26,9 @@ from offpiste.mapping.terrain_sampler import CellStack, last_cells
 _STARTING, _BACKWARDS = 4.0, 0.5
 """Mean speed that a starting vehicle may reach, and speed above which it drives backwards [m/s]."""
 
-SNAPSHOT_PARTS = ("validation", "test")
-"""Parts with snapshots; training needs none."""
-
-MARGIN = 18.0
-"""Added to the radius of a snapshot [m]."""
-
-CHUNK = 8192
-"""Cells per chunk of the store; a snapshot has some ten thousand."""
+SNAPSHOT_PARTS = ("validation", "test")  # parts with snapshots; training needs none
+MARGIN = 18.0  # added to the radius of a snapshot [m]
+CHUNK = 8192  # cells per chunk of the store; a snapshot has some ten thousand
 
 _MOST_CELLS: Final = 1 << 22
 """Largest number of cells of a snapshot, known or not: it reaches some 50 m around the vehicle."""

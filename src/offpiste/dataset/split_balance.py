@@ -13,19 +13,14 @@ from offpiste.dataset.splits import PARTS, Split, empty_parts, parse_split
 from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.window_starts import evaluation_starts
 
-LEAST_WINDOWS: Final = 200
-"""Smallest number of windows of a part: fewer cover some ten seconds of driving."""
+LEAST_WINDOWS: Final = 200  # smallest number of windows of a part: fewer cover some ten seconds of driving
 MOST_APART: Final = 0.6
 """Largest Kolmogorov-Smirnov distance between the speeds of training and of another part. The recorded
 drives reach 0.6 in their default split; a part that stands still while training drives reaches 0.8 and more."""
-MEDIANS: Final = 1.5
-"""Smallest ratio of the median speeds for which that distance counts: small parts scatter."""
-MOST_RATIO: Final = 2.5
-"""Largest ratio of the median speeds at window starts."""
-_STANDING: Final = 0.3
-"""Speed below which the vehicle counts as standing [m/s]."""
-_LITTLE: Final = 600.0
-"""Driving time in training below which `parametric` is proposed as the first model [s]."""
+MEDIANS: Final = 1.5  # smallest ratio of the median speeds for which that distance counts: small parts scatter
+MOST_RATIO: Final = 2.5  # largest ratio of the median speeds at window starts
+_STANDING: Final = 0.3  # speed below which the vehicle counts as standing [m/s]
+_LITTLE: Final = 600.0  # driving time in training below which `parametric` is proposed as the first model [s]
 _FOR_SHORT_DRIVES: Final = (
     *("blocks:0.6,0.2,0.2", "blocks:0.5,0.25,0.25", "blocks:0.4,0.3,0.3"),
     *(f"fold:{number}/{folds}" for folds in (5, 4, 3) for number in range(folds)),

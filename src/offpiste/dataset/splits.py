@@ -14,8 +14,7 @@ from offpiste.core.limits import read_small
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.rig import Rig
 
-PARTS = ("train", "validation", "test")
-"""Names of the labels 0, 1, 2; the label -1 belongs to no part."""
+PARTS = ("train", "validation", "test")  # names of the labels 0, 1, 2; the label -1 belongs to no part
 
 GAP = HISTORY_STEPS + HORIZON_STEPS
 """Rows dropped where the part changes, so that windows of different parts share no row."""

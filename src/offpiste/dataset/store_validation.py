@@ -46,8 +46,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     snapshot_settings: dict[str, Any] = {}
 
 
-NOTES: Final = ("made_by", "absent", "min_speed")
-"""Settings that follow from others or have no influence."""
+NOTES: Final = ("made_by", "absent", "min_speed")  # settings that follow from others or have no influence
 
 
 def read_settings(path: Path) -> Settings:

@@ -16,17 +16,13 @@ from zarr.codecs import Crc32cCodec
 from offpiste.core.checksums import CHECKSUMS, DamagedFile, sha256_of_json
 from offpiste.core.limits import LARGEST, parsed, read_small, zstd
 
-ARRAYS = "arrays_sha256"
-"""Attribute of a drive with the digest of its chunks (`digest_of_chunks`)."""
+ARRAYS = "arrays_sha256"  # attribute of a drive with the digest of its chunks (`digest_of_chunks`)
 
 CODECS: Final = frozenset({"bytes", "zstd", "crc32c"})
 """Accepted codecs. Others may run code: numcodecs has one that unpickles."""
 
-LARGEST_CHUNK: Final = 1 << 32
-"""Largest size of an uncompressed chunk, which is as long on disk [bytes]."""
-
-LARGEST_COMPRESSED: Final = LARGEST >> 4
-"""Largest size of a chunk of a compressed array, which may have many [bytes]."""
+LARGEST_CHUNK: Final = 1 << 32  # largest size of an uncompressed chunk, which is as long on disk [bytes]
+LARGEST_COMPRESSED: Final = LARGEST >> 4  # largest size of a chunk of a compressed array, which may have many [bytes]
 
 
 def open_stored(folder: Path) -> zarr.Group:

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int, Int32
 
-PAUSE = 10.0
-"""Time without contact after which the next contact with a cell begins a new pass [s]."""
+PAUSE = 10.0  # time without contact after which the next contact with a cell begins a new pass [s]
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import part_number
 from offpiste.dataset.store import Dataset
 
-MIN_HINDSIGHT = 0.5
-"""Smallest share of a window's ground with features in hindsight (paper: all); 0 keeps all windows."""
+MIN_HINDSIGHT = 0.5  # smallest share of a window's ground with features in hindsight (paper: all); 0 keeps all windows
 
 
 def window_starts(

@@ -24,8 +24,7 @@ from offpiste.dataset.store import Dataset
 from offpiste.dataset.window_maps import WindowMaps
 from offpiste.dataset.window_starts import evaluation_starts, no_window
 
-UNIT_TOLERANCE = 1e-3
-"""Largest deviation of a stored normal's squared length from 1."""
+UNIT_TOLERANCE = 1e-3  # largest deviation of a stored normal's squared length from 1
 
 
 MOTION: Final = ("state", "state_causal", "actuators", "actuators_causal", "control", "control_causal")

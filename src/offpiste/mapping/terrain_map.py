@@ -12,8 +12,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-Number = Any
-"""Float, NumPy array or tensor; constants are arguments so that float32 stays float32."""
+Number = Any  # float, NumPy array or tensor; constants are arguments so that float32 stays float32
 
 
 def on_map(x: Number, y: Number, last_x: Number, last_y: Number, half: Number) -> Number:
@@ -92,8 +91,7 @@ def _layer(*components: int, dtype: type = np.float32) -> dict[str, Any]:
     return {"components": components, "dtype": dtype}
 
 
-CHANNELS: Final = -1
-"""Placeholder for the number of features."""
+CHANNELS: Final = -1  # placeholder for the number of features
 
 
 @dataclass(frozen=True)
@@ -155,8 +153,7 @@ def _window(
     return (rows, columns), ground.origin + first * ground.resolution
 
 
-LAYERS: Final = tuple(f for f in fields(TerrainLayers) if f.metadata)
-"""Declared layers in order."""
+LAYERS: Final = tuple(f for f in fields(TerrainLayers) if f.metadata)  # declared layers in order
 
 
 def empty_layers(cells: int, channels: int) -> TerrainLayers:

@@ -20,8 +20,7 @@ from offpiste.core.errors import MapError
 from offpiste.core.registry import Registry
 from offpiste.native.compilation import MAPPING, Function, spread_blocks
 
-Scalar = Any
-"""Number or array."""
+Scalar = Any  # number or array
 
 FusionRule = Callable[[Scalar, Scalar, Scalar], Scalar]
 """Weight of a new observation in the voxel, from its distance [m], the distance of the held one [m] and the number of
@@ -54,8 +53,7 @@ BASE, OCCUPIED, FEATURED, LOWEST = range(4)
 there upwards that are occupied and that have features; slot of the lowest voxel. In an empty column only `OCCUPIED` is
 valid; elsewhere its lowest bit is set."""
 
-LEVELS: Final = 31
-"""Levels of a column, the bits of a signed word without its sign; 6.2 m with voxels of 0.2 m."""
+LEVELS: Final = 31  # levels of a column, the bits of a signed word without its sign; 6.2 m with voxels of 0.2 m
 
 X, Y, Z, DISTANCE, FEATURE_DISTANCE, HITS, FEATURE_HITS, PASSED, FEATURES = range(9)
 """Fields of a voxel: x, y from its centre and z from its floor [voxels]; distance of the sensor from the hit and the
@@ -69,8 +67,7 @@ EVER, FREED, LOST = range(3)
 PARTS: Final = 2
 """Parts that rows (in stripes) and slots are divided into, so that each part can be filled by its own thread."""
 
-STRIPE: Final = 3
-"""log2 of the number of rows in a stripe."""
+STRIPE: Final = 3  # log2 of the number of rows in a stripe
 
 _ALL_BITS: Final = (1 << LEVELS) - 1
 

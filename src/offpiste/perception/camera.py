@@ -18,8 +18,7 @@ from offpiste.rig.camera import FISHEYE, CameraModel
 WIDEST: Final = math.radians(65)
 """Largest angle from the axis of a pinhole to the edge of its image; beyond, images are mostly stretched [rad]."""
 
-MOST_OF_A_PATCH: Final = 0.1
-"""Largest share of the vehicle's body, or of unseen pixels, in a usable patch."""
+MOST_OF_A_PATCH: Final = 0.1  # largest share of the vehicle's body, or of unseen pixels, in a usable patch
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from jaxtyping import Float32, UInt8
 
 from offpiste.native.compilation import FILTER_SUMS, FILTERS
 
-TAPS: Final = 7
-"""Taps added at a time; lines are padded with zeros to a multiple."""
+TAPS: Final = 7  # taps added at a time; lines are padded with zeros to a multiple
 
 PRODUCTS: Final = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (0, 0), (3, 3))
 """Horizontal and vertical lines of `Derivatives` whose products are combined."""

@@ -9,10 +9,8 @@ from offpiste.logs.measurements import Cloud, Lidar
 from offpiste.logs.poses import Poses
 from offpiste.native.compilation import MOTION
 
-MOMENT = 1e-4
-"""Resolution of the times of points, 2 mm at 20 m/s [s]."""
-_MOST_TICKS: Final = 1e5
-"""Longest span of a scan for counting, 10 s; longer ones are sorted [MOMENT]."""
+MOMENT = 1e-4  # resolution of the times of points, 2 mm at 20 m/s [s]
+_MOST_TICKS: Final = 1e5  # longest span of a scan for counting, 10 s; longer ones are sorted [MOMENT]
 
 
 def points_in_world(cloud: Cloud, lidar: Lidar, poses: Poses) -> Float[np.ndarray, "n 3"]:

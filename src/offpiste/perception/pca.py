@@ -21,11 +21,8 @@ from offpiste.core.limits import open_tensors, parsed
 from offpiste.core.shipped import pca_file
 from offpiste.perception.backbones import Backbone
 
-COMPONENTS = 40
-"""Number of components, as in the paper."""
-
-IMAGES = 175
-"""Default number of images for a PCA, as in the paper."""
+COMPONENTS = 40  # number of components, as in the paper
+IMAGES = 175  # default number of images for a PCA, as in the paper
 
 
 @dataclass(frozen=True)
@@ -138,8 +135,7 @@ def fit(moments: Moments, backbone: Backbone, *, components: int = COMPONENTS, *
     )
 
 
-PCA_HEADER = "offpiste_pca"
-"""Key of the JSON in the file's header."""
+PCA_HEADER = "offpiste_pca"  # key of the JSON in the file's header
 
 _SCHEMA = 1
 _TENSORS = ("mean", "basis", "variance")

@@ -25,11 +25,8 @@ from offpiste.perception.motion_compensation import inverse
 from offpiste.rig.camera import CameraModel
 
 SECTORS: Final = 8
-FREE: Final = 2
-"""Widest gap between nearer points that still occludes a point [sectors]."""
-
-NEAREST = 0.2
-"""Smallest depth of projected points [m]."""
+FREE: Final = 2  # widest gap between nearer points that still occludes a point [sectors]
+NEAREST = 0.2  # smallest depth of projected points [m]
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,7 @@ from offpiste.core.registry import Registry
 from offpiste.native.compilation import single_threaded_torch
 from offpiste.perception.patch_grid import PatchGrid
 
-DINOV2_SMALL: Final = "facebook/dinov2-small"
-"""DINOv2 ViT-S/14, the paper's backbone and the default."""
+DINOV2_SMALL: Final = "facebook/dinov2-small"  # DINOv2 ViT-S/14, the paper's backbone and the default
 
 
 class Backbone(ABC):

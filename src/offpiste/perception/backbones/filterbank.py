@@ -21,17 +21,10 @@ from offpiste.perception.filter_responses import PRODUCTS, TAPS, Derivatives, pa
 FILTERBANK: Final = "filterbank"
 
 ORIENTATIONS = 4
-SCALES = (1.0, 2.0, 4.0)
-"""Standard deviations of the Gaussians [px]."""
-
-CONTEXT = (3, 7)
-"""Sides of the neighbourhoods for further averages of colour and texture [patches]."""
-
-_DARKEST = 0.03
-"""Added to colours before the logarithm to suppress noise in dark regions."""
-
-_FAINTEST = 0.01
-"""Added to mean responses before the logarithm, about the level of camera noise."""
+SCALES = (1.0, 2.0, 4.0)  # standard deviations of the Gaussians [px]
+CONTEXT = (3, 7)  # sides of the neighbourhoods for further averages of colour and texture [patches]
+_DARKEST = 0.03  # added to colours before the logarithm to suppress noise in dark regions
+_FAINTEST = 0.01  # added to mean responses before the logarithm, about the level of camera noise
 
 _WEIGHTS = {"brightness": 0.45, "colour": 4.0, "spread": 0.7, "texture": 0.35}
 """Weights that equalise the variances of the groups for a PCA."""
