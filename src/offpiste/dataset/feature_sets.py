@@ -37,18 +37,13 @@ def same_feature_set(count: int, number: int) -> FeatureSetChoice:
 
 
 def set_number(name: str, stored: int) -> int:
-    """Return the number of a feature set in a dataset with `stored` sets.
-
-    Raises:
-        DatasetError: there is no such set, or the dataset stores hindsight only.
-    """
+    """Return the number of a feature set in a dataset with `stored` sets; raise `DatasetError` if it has no such set."""
     if name not in FEATURE_SETS:
         raise DatasetError(f"no feature set '{name}'", how=f"sets are {', '.join(FEATURE_SETS)}")
     number = FEATURE_SETS.index(name)
     if number >= stored:
-        raise DatasetError(
-            f"has no feature sets by distance, so no set '{name}'", how="extract visual features (`extract --pca`)"
-        )
+        how = "extract visual features (`extract --pca`)"
+        raise DatasetError(f"has no feature sets by distance, so no set '{name}'", how=how)
     return number
 
 
@@ -89,12 +84,8 @@ class FeatureSetRecorder:
 
     The set of distance d holds the value, valid or not, at the update when the horizontal distance from the pose point
     to the cell's centre, negative after first contact, was nearest to d and within `TOLERANCE`. Hindsight holds the
-    last known features, elevation and normal before the cell leaves the map or the next pass over it begins.
-
-    Args:
-        resolution: size of a cell [m].
-        reach: half the side of the map around the vehicle [m].
-        features: number of features.
+    last known features, elevation and normal before the cell leaves the map or the next pass over it begins. Cells of
+    `resolution` [m] are on the map up to `reach` from the vehicle, in x and in y [m].
     """
 
     def __init__(self, passes: Passes, *, resolution: float, reach: float, features: int) -> None:

@@ -32,11 +32,7 @@ class StoredFindings(msgspec.Struct, frozen=True):
 
 
 class UnusableLog(LogError):
-    """A log with fatal findings: models would learn nothing from it, or nonsense.
-
-    Args:
-        findings: the fatal ones.
-    """
+    """A log with fatal `findings`: models would learn nothing from it, or nonsense."""
 
     def __init__(self, findings: Sequence[LogFinding], where: str | Path) -> None:
         self.findings = tuple(findings)

@@ -129,11 +129,7 @@ class SnapshotSettings:
 
 
 class SnapshotSchedule:
-    """Choice of the rows at which snapshots are taken while a drive is replayed.
-
-    Args:
-        starts: rows at which windows start, for each evaluated part.
-    """
+    """Choice of the rows at which snapshots are taken, from the starts of windows in each evaluated part."""
 
     def __init__(self, starts: Sequence[Bool[np.ndarray, " N"]], settings: SnapshotSettings) -> None:
         self._starts = starts
@@ -167,14 +163,7 @@ _INDEX: Final[dict[str, tuple[type, tuple[int, ...]]]] = {
 
 
 class SnapshotWriter:
-    """Writer of the snapshots of one drive into a new folder, one at a time.
-
-    Args:
-        folder: of a Zarr group.
-        resolution: of the maps [m].
-        features: number of features.
-        latency: of `SnapshotSettings` [s].
-    """
+    """Writer of one drive's snapshots of maps of a resolution [m] with some features into a new Zarr group."""
 
     def __init__(self, folder: Path, resolution: float, features: int, latency: float = PERCEPTION_LATENCY) -> None:
         attributes: dict[str, Any] = {"resolution": resolution, "latency": latency}

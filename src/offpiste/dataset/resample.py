@@ -72,8 +72,7 @@ def rows_from_arrays(
 def extract_rows(drive: Drive) -> Rows:
     """Resample every column of `COLUMNS` to 50 Hz and mark complete rows; nothing is extrapolated or filled.
 
-    Raises:
-        LogError: the channels share no time, or less than a second of complete rows.
+    Raises `LogError` if the channels share no time, or less than a second of complete rows.
     """
     start, end = common_span(list(drive.channels.values()), drive.name)
     time = start + DT * np.arange(int((end - start) / DT) + 1)

@@ -77,11 +77,7 @@ def read_settings(path: Path) -> Settings:
 
 
 def changed_settings(settings: Any, *excluded: str) -> dict[str, Any]:
-    """Return the fields of a dataclass, nested ones included, that differ from their defaults; none for None.
-
-    Args:
-        excluded: names of fields to leave out at any depth.
-    """
+    """Return the fields of a dataclass, or of nested ones, that differ from their defaults and are not `excluded`."""
     if settings is None:
         return {}
     default, changed = type(settings)(), dict[str, Any]()

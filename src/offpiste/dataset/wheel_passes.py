@@ -29,11 +29,10 @@ def find_passes(
     resolution: float,
     jumps: Float[np.ndarray, "j 2"] | None = None,
 ) -> Passes:
-    """Find the passes of a drive.
+    """Find the passes of a drive over cells of `resolution` [m].
 
     Args:
         time, xy, wheels: increasing times of the rows [s], and positions in the world frame, NaN where unknown [m].
-        resolution: size of a cell [m].
         jumps: times before and after each jump of the poses, across which no pass continues [s].
     """
     jumps = np.zeros((0, 2)) if jumps is None else jumps

@@ -87,11 +87,7 @@ class WindowMaps:
         return self._latest[1], number
 
     def near(self, index: Int[np.ndarray, " B"], paths: Float[np.ndarray, "B P 2"], margin: float) -> CellStack:
-        """Return one map for each of some windows with a snapshot: the cells within `margin` of a path [m].
-
-        Args:
-            paths: x, y in the world frame [m].
-        """
+        """Return one map for each of some windows with a snapshot: the cells within `margin` of a path [m]."""
         cells = []
         keys = zip(self._drive[index].tolist(), self._snapshot[index].tolist(), strict=True)
         for key, path in zip(keys, paths, strict=True):

@@ -21,7 +21,7 @@ from offpiste.perception.projection import CameraView, Projection, ProjectionSet
 logger = logging.getLogger(__name__)
 
 ExtractFeatures = Callable[[UInt8[np.ndarray, "h w 3"]], Float32[np.ndarray, "rows columns F"]]
-"""Extractor of patch features from a rectified image."""
+"""Extractor of patch features from a rectified image: backbone and PCA, and the encoder on the vehicle."""
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,7 @@ class Keyframes:
 
 
 class SensorMapper:
-    """Map around a vehicle, built from its images and scans.
-
-    Args:
-        extract: backbone and PCA, and the encoder on the vehicle.
-        channels: number of features; 0 maps scans without images.
-    """
+    """Map around a vehicle, built from its images and scans; with 0 channels, from scans alone."""
 
     def __init__(
         self,
@@ -178,8 +173,6 @@ def replay(
     """Replay a log and yield the map after each scan; the map is reset where poses jump.
 
     Args:
-        cameras: cameras whose images are used.
-        extract: backbone and PCA.
         channels: number of features; 0 maps scans without images.
         wanted: selection of keyframes instead of one every `keyframe_metres`.
         start, end: time range to replay [s].
