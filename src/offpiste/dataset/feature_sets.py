@@ -37,7 +37,7 @@ def same_feature_set(count: int, number: int) -> FeatureSetChoice:
 
 
 def set_number(name: str, stored: int) -> int:
-    """Return the number of a feature set in a dataset with `stored` sets; raise `DatasetError` if it has no such set."""
+    """Return the number of a feature set in a dataset with `stored` sets; raise `DatasetError` without such a set."""
     if name not in FEATURE_SETS:
         raise DatasetError(f"no feature set '{name}'", how=f"sets are {', '.join(FEATURE_SETS)}")
     number = FEATURE_SETS.index(name)
