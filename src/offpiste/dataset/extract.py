@@ -137,7 +137,8 @@ def extract_drive(job: Job, report: Report) -> str:
         if not settings.force:
             refuse_unusable(findings, path)
         drive = drive_from_log(log, rig)
-        rows, notes, snapshots = extract_rows(drive), drive.notes, None
+        rows, notes = extract_rows(drive), drive.notes
+        snapshots: Path | None = None
         if settings.features != "none":
             rows, terrain = with_ground_truth(rows, truth_map(path, LAYERS[settings.features]), rig)
         if settings.pca is not None:

@@ -169,7 +169,8 @@ class SnapshotWriter:
         attributes: dict[str, Any] = {"resolution": resolution, "latency": latency}
         self._group = zarr.open_group(folder, mode="w-", attributes=attributes, zarr_format=3)
         self._index: dict[str, list[Any]] = {"row": [], "first": [0], "origin": [], "shape": []}
-        self._cells = {}  # kept, because arrays looked up in the group again would not write chunks of zeros
+        # Kept, because arrays looked up in the group again would not write chunks of zeros.
+        self._cells: dict[str, Any] = {}
         for name, (dtype, shape) in _CELLS.items():
             more = tuple(features if size < 0 else size for size in shape)
             self._cells[name] = self._group.create_array(

@@ -48,7 +48,8 @@ def open_stored(folder: Path) -> zarr.Group:
 
 
 def _chunk_shape(metadata: dict[str, Any]) -> list[int]:
-    return metadata["chunk_grid"]["configuration"]["chunk_shape"]  # type: ignore[no-any-return]
+    result: list[int] = metadata["chunk_grid"]["configuration"]["chunk_shape"]
+    return result
 
 
 def refuse_foreign(metadata: dict[str, Any]) -> None:

@@ -139,13 +139,13 @@ PCA_HEADER = "offpiste_pca"  # key of the JSON in the file's header
 
 _SCHEMA = 1
 _TENSORS = ("mean", "basis", "variance")
-_ABOUT = ("total_variance", "backbone", "fingerprint", "fitted_on")
 
 
 def save_pca(path: Path, pca: PrincipalComponents) -> None:
     """Write a PCA with its digest atomically."""
+    names = ("total_variance", "backbone", "fingerprint", "fitted_on")
     tensors = {name: np.array(getattr(pca, name), order="C") for name in _TENSORS}
-    about = json.loads(json.dumps({"schema": _SCHEMA} | {name: getattr(pca, name) for name in _ABOUT}))
+    about = json.loads(json.dumps({"schema": _SCHEMA} | {name: getattr(pca, name) for name in names}))
     header = {PCA_HEADER: json.dumps({**about, "sha256": sha256_of_arrays(tensors, about)})}
     write_bytes(path, save(tensors, metadata=header))  # safetensors' own writer hides that a disk is full
 
@@ -168,8 +168,13 @@ def load_pca(path: str | Path) -> PrincipalComponents:
             raise ValueError(f"mean, basis and variance of shapes {mean}, {basis}, {variance} do not fit together")
         if not all(values.dtype == np.float32 and np.isfinite(values).all() for values in tensors.values()):
             raise ValueError("mean, basis or variance is not finite float32")
-        fields = zip(_ABOUT, (float, str, str, dict), strict=True)
-        return PrincipalComponents(**tensors, **{name: make(about[name]) for name, make in fields})
+        return PrincipalComponents(
+            **tensors,
+            total_variance=float(about["total_variance"]),
+            backbone=str(about["backbone"]),
+            fingerprint=str(about["fingerprint"]),
+            fitted_on=dict(about["fitted_on"]),
+        )
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         how = "give the file that `offpiste fit-pca` wrote"
