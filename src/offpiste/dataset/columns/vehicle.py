@@ -24,7 +24,7 @@ def _register(name: str, of: Callable[[Rig], dict[str, bool]], count: int, *segm
     """Register a column of several channels, causal if its name says so."""
     channel = RowGrid.channel_causal if name.endswith("_causal") else RowGrid.channel
 
-    def read(grid: RowGrid) -> Float[np.ndarray, "N k"]:
+    def read(grid: RowGrid) -> np.ndarray:
         return np.column_stack([channel(grid, each) for each in of(grid.drive.rig)])
 
     COLUMNS.register(name)(Column(read, (count,), lambda rig: list(of(rig).values()), segments))
