@@ -101,7 +101,8 @@ class BestEpoch:
 
 def metrics_writer(folder: Path, *, tensorboard: bool = False) -> Record:
     """Return a function that logs an epoch and adds it to `metrics.jsonl` in a run's folder, and to TensorBoard."""
-    writer, path = None, folder / "metrics.jsonl"
+    writer = None
+    path = folder / "metrics.jsonl"
     if tensorboard:
         with extra("tensorboard"):
             from torch.utils.tensorboard import SummaryWriter

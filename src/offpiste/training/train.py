@@ -103,8 +103,9 @@ def train(
             return window_loss(predict_batch(model, batch), batch)
 
         on_map = None if maps is None else partial(maps.of, model, window_loss)
-        read = [part if model.encoder is not None else part.without_features() for part in (windows, validation)]
-        keep(name, run_stage(Stage(name, model, loss, epochs, draw, on_map), *read, config, folder, record, group))
+        stage, parts = Stage(name, model, loss, epochs, draw, on_map), (windows, validation)
+        fitted, validated = (part if model.encoder is not None else part.without_features() for part in parts)
+        keep(name, run_stage(stage, fitted, validated, config, folder, record, group))
 
     if (physics := dynamics.physics()) is not None:
         if physics.actuators is not None:
