@@ -226,11 +226,8 @@ def _as_many_as_cells(names: list[str], header: str, row: str, path: Path) -> li
     if len(others) == len(cells):
         return others
     if len(names) != len(cells):
-        raise LogError(
-            f"{len(names)} names above {len(cells)} columns separated by spaces",
-            where=path,
-            how="give each column one name without spaces in it",
-        )
+        what = f"{len(names)} names above {len(cells)} columns separated by spaces"
+        raise LogError(what, where=path, how="give each column one name without spaces in it")
     return names
 
 
@@ -275,16 +272,22 @@ def _text(path: Path, notes: list[str], size: int = -1) -> bytes:
             read = file.read(size)
     except OSError as error:
         raise LogError(f"cannot be opened: {error.strerror}", where=path) from error
-    is_known = read.startswith(_UTF_16) or any(mark in read[:_BEGIN] for mark in _MARKS)
-    if not is_known and _is_utf_8(read, is_whole=len(read) != size):
-        return read
+    if read.startswith(_UTF_16):
+        text = read.decode("utf-16", "replace")
+        return (_as_table(text) or text).encode()
+    known = any(mark in read[:_BEGIN] for mark in _MARKS)
     try:
-        text = _with_one_header(read)
+        text = codecs.getincrementaldecoder("utf-8-sig")().decode(read, final=len(read) != size)
+        table = _as_table(text) if known else None
+        return read if table is None else table.encode()
+    except UnicodeDecodeError:
+        table = _as_table(read.decode("latin-1"))  # as older loggers write degrees
+    if not known:
+        notes.append("the text is not UTF-8, and read as cp1252; where names look wrong, save it as UTF-8")
+    try:
+        return (table or read.decode("cp1252")).encode()
     except UnicodeDecodeError as error:
         raise LogError("the text is neither UTF-8 nor cp1252", where=path, how="save it as UTF-8") from error
-    if not is_known:
-        notes.append("the text is not UTF-8, and read as cp1252; where names look wrong, save it as UTF-8")
-    return text
 
 
 def _first_lines(content: bytes, path: Path) -> list[str]:
@@ -365,26 +368,6 @@ def _in_one_space(text: bytes) -> bytes:
     return "\n".join(_DATE_AND_TIME.sub(r"\1T\2", line) for line in lines if line).encode("utf-8", "surrogateescape")
 
 
-def _with_one_header(read: bytes) -> bytes:
-    """Return a file's text in UTF-8, with one line of names if it is of a known data logger."""
-    if read.startswith(_UTF_16):
-        text = read.decode("utf-16", "replace")
-        return (_as_table(text) or text).encode()
-    try:
-        table = _as_table(read.decode("utf-8-sig"))
-    except UnicodeDecodeError:
-        table = _as_table(read.decode("latin-1")) or read.decode("cp1252")  # as older loggers write degrees
-    return read if table is None else table.encode()
-
-
-def _is_utf_8(text: bytes, *, is_whole: bool) -> bool:
-    try:
-        codecs.getincrementaldecoder("utf-8")().decode(text, final=is_whole)
-    except UnicodeDecodeError:
-        return False
-    return True
-
-
 def _of_racelogic(text: str) -> str | None:
     """Convert a .vbo file of Racelogic, whose sections hold names, units and rows."""
     parts = _SECTION.split(text)
@@ -395,19 +378,15 @@ def _of_racelogic(text: str) -> str | None:
     units = [line.strip() for line in sections.get("channel units", "").splitlines() if line.strip()]
     # Files list the units of all columns, or of the last columns only.
     unit_of = dict(zip(reversed(names), reversed(units), strict=False))
-    header = [_RACELOGIC.get(name.lower()) or _with_unit(name, unit_of.get(name, "")) for name in names]
-    factors = [_MINUTES.get(name.lower()) for name in names]
-    rows = (_scaled(line.split(), factors) for line in sections["data"].splitlines() if line.strip())
-    return "\n".join(",".join(cells) for cells in (header, *rows)) + "\n"
-
-
-def _scaled(cells: Sequence[str], factors: Sequence[float | None]) -> list[str]:
-    """Multiply some cells; invalid or excess cells are left to the reader of tables."""
-    scaled = list(cells)
-    for place, factor in enumerate(factors[: len(cells)]):
-        if factor is not None and re.fullmatch(r"[+-]?[\d.]+", cells[place]):
-            scaled[place] = repr(factor * float(cells[place]))
-    return scaled
+    lines = [[_RACELOGIC.get(name.lower()) or _with_unit(name, unit_of.get(name, "")) for name in names]]
+    factors = {place: _MINUTES[name.lower()] for place, name in enumerate(names) if name.lower() in _MINUTES}
+    for line in filter(str.strip, sections["data"].splitlines()):
+        cells = line.split()
+        for place, factor in factors.items():  # invalid or excess cells are left to the reader of tables
+            if place < len(cells) and re.fullmatch(r"[+-]?[\d.]+", cells[place]):
+                cells[place] = repr(factor * float(cells[place]))
+        lines.append(cells)
+    return "\n".join(map(",".join, lines)) + "\n"
 
 
 def _with_unit(name: str, unit: str) -> str:
