@@ -150,8 +150,9 @@ def clock_difference(
     All messages arrive by the recorder's clock, so that the difference is a line through the smallest delays of each
     block of time.
     """
-    start = max(arrivals.min(), pose_arrivals.min()) if min(len(stamps), len(pose_stamps)) else 0.0
-    end = min(arrivals.max(), pose_arrivals.max()) if min(len(stamps), len(pose_stamps)) else 0.0
+    if not (len(stamps) and len(pose_stamps)):
+        return None
+    start, end = max(arrivals.min(), pose_arrivals.min()), min(arrivals.max(), pose_arrivals.max())
     if not end > start:
         return None
     edges = np.linspace(start, end, _BLOCKS + 1)

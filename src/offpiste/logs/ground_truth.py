@@ -75,9 +75,8 @@ def read_truth_map(path: str | Path) -> MapLayers:
 def _simulated(path: str | Path) -> Log:
     log = open_log(path)
     if not log.has_messages or not {WHEELS_TOPIC, MAP_TOPIC} <= set(log.topics):
-        raise LogError(
-            "no ground truth in it: only simulated logs have it", where=path, how="record one with `offpiste simulate`"
-        )
+        what = "no ground truth in it: only simulated logs have it"
+        raise LogError(what, where=path, how="record one with `offpiste simulate`")
     return log
 
 

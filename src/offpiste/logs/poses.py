@@ -62,10 +62,8 @@ def poses_from_drive(drive: Drive) -> Poses:
     """Return the poses of a drive, which need positions with z and full orientations."""
     position, orientation = drive.channels.get("position"), drive.channels.get("orientation")
     if orientation is None or position is None or position.values.shape[1] != 3:
-        raise RigError(
-            f"{drive.name}: cameras and LiDARs need positions with z, and orientations as quaternions",
-            how="give channels.position three fields, and channels.orientation",
-        )
+        what = f"{drive.name}: cameras and LiDARs need positions with z, and orientations as quaternions"
+        raise RigError(what, how="give channels.position three fields, and channels.orientation")
     return Poses(position, orientation, drive.rig.clock.max_gap, drive.faults.breaks(), drive.faults.unknown())
 
 

@@ -127,16 +127,13 @@ def between(transforms: Sequence[Transform], parent: str, child: str, *, path: P
             if other not in known:
                 known[other] = known[frame] @ matrix
                 border.append(other)
+    how = "give body_from_camera or body_from_lidar in the rig"
     if child not in known:
-        frames = ", ".join(sorted(steps)) or "none"
-        raise LogError(
-            f"no fixed transform joins '{child}' to '{parent}'; frames with transforms: {frames}",
-            where=path,
-            how="fix frames.body or frames.topics, or give body_from_camera or body_from_lidar in the rig",
-        )
+        what = f"no fixed transform joins '{child}' to '{parent}'; frames with transforms: "
+        what += ", ".join(sorted(steps)) or "none"
+        raise LogError(what, where=path, how=f"fix frames.body or frames.topics, or {how}")
     if not _is_rigid(known[child]):
-        what = f"the transform from '{parent}' to '{child}' is not rigid"
-        raise LogError(what, where=path, how="give body_from_camera or body_from_lidar in the rig")
+        raise LogError(f"the transform from '{parent}' to '{child}' is not rigid", where=path, how=how)
     return known[child]
 
 

@@ -132,16 +132,19 @@ class TableLog(Log):
         """Return whether most of the first cells are numbers; single bad cells do not make a column of text."""
         if not pa.types.is_string(self._table[name].type):
             return True  # others were not read
-        cells = self._table[name].drop_null().slice(0, 100).to_pylist()
+        cells = self._first_cells(name)
         return 2 * sum(number_of(cell) is not None for cell in cells) >= len(cells) or are_gears(self._table[name])
 
     def _why_unread(self, name: str) -> str:
         """Return the reason why a column of text is not a field."""
         if words := unknown_words(self._table[name]):
             return f"column '{name}' holds words of gears, among which '{words[0][:40]}' is not known"
-        cells = self._table[name].drop_null().slice(0, 100).to_pylist()
-        text = next((cell for cell in cells if number_of(cell) is None), "")
+        text = next((cell for cell in self._first_cells(name) if number_of(cell) is None), "")
         return f"column '{name}' holds text, such as '{text[:40]}', and no numbers"
+
+    def _first_cells(self, name: str) -> list[str]:
+        cells: list[str] = self._table[name].drop_null().slice(0, 100).to_pylist()
+        return cells
 
     def _guess_clock(self, notes: list[str]) -> str:
         names = [name for name in self._table.column_names if _is_named_time(name)]
@@ -153,13 +156,10 @@ class TableLog(Log):
             return even[0]
         if len(names) < 2:
             return "".join(names)
-        guess: str = max(names, key=lambda name: (self._share_rising(name), not self._is_time_of_day(name)))
+        dated = {name for name in names if name in self._columns or _dates(self._table[name]) is not None}
+        guess: str = max(names, key=lambda name: (self._share_rising(name), name in dated))
         notes.append(f"'{guess}' is taken for time, of {', '.join(names)}; clock.column in the rig can say otherwise")
         return guess
-
-    def _is_time_of_day(self, name: str) -> bool:
-        """Return whether stamps are times without a date, which are the last choice."""
-        return name not in self._columns and _dates(self._table[name]) is None
 
     def _beside(self, clock: str) -> str:
         """Return the column of nanoseconds beside one of whole seconds; "" for none."""
@@ -204,10 +204,10 @@ class TableLog(Log):
                 row, cell = next((r, c) for r, c in cells if c and clock_times(pa.chunked_array([[c]])) is None)
                 what = f"row {row} below the header, column '{name}': '{cell[:40]}' is not a time"
                 raise LogError(what, where=self.path, how="write seconds, or 2024-05-03T10:11:12.345")
-        if nanoseconds := self._beside(name):
-            return self._numbers(name) + self._numbers(nanoseconds) / 1e9
-        per_second = 1.0 if _has_time_unit(column.type) else PER_SECOND[self._unit_of_stamps(name)]
         numbers = self._numbers(name)
+        if nanoseconds := self._beside(name):
+            return numbers + self._numbers(nanoseconds) / 1e9
+        per_second = 1.0 if _has_time_unit(column.type) else PER_SECOND[self._unit_of_stamps(name)]
         numbers = np.where(np.abs(numbers) < _NO_TIME, numbers, np.nan) / per_second
         return seconds_of_the_day(numbers) if shows_clock_face(numbers) else numbers
 
@@ -382,11 +382,8 @@ def _tables_in(folder: Path) -> list[Path]:
 
 def _opened(file: Path, clock: Clock) -> Log:
     """Open a table; guess its clock if it lacks the given column."""
-    try:
+    with suppress(NoClock):
         return TableLog.open(file, clock)
-    except NoClock:
-        if not clock.column:
-            raise
     return TableLog.open(file, Clock())
 
 

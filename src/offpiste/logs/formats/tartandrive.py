@@ -55,11 +55,8 @@ class TartanDriveLog(Log):
         values = _load(folder / topic.type, mapped=False).reshape(topic.count, -1)
         time = _load_stamps(folder / "timestamps.txt") * SECONDS_PER_UNIT[self._clock.unit]
         if len(time) != len(values):
-            raise LogError(
-                f"{len(time)} stamps for {len(values)} samples",
-                where=folder,
-                how="the folder was cut short or mixed; export it again",
-            )
+            how = "the folder was cut short or mixed; export it again"
+            raise LogError(f"{len(time)} stamps for {len(values)} samples", where=folder, how=how)
         return Samples(time, values[:, [int(f) for f in fields]].astype(np.float64))
 
 

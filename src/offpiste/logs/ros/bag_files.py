@@ -158,11 +158,8 @@ def typestore_of(connection: Connection, path: Path) -> Typestore:
         return _typestore(connection.msgtype, connection.msgdef, encoding == "ros1")
     except KeyError as error:
         part = "" if error.args == (connection.msgtype,) else f" (its part {error.args[0]})"
-        raise LogError(
-            f"{connection.msgtype} is not defined in the bag{part}",
-            where=path,
-            how="record as .mcap, or run `ros2 bag convert` to .mcap, where its message package is installed",
-        ) from error
+        how = "record as .mcap, or run `ros2 bag convert` to .mcap, where its message package is installed"
+        raise LogError(f"{connection.msgtype} is not defined in the bag{part}", where=path, how=how) from error
     except Exception as error:  # rosbags parses and compiles what the file holds
         reason = (" ".join(str(error).split()) or type(error).__name__)[:100]
         what = f"{connection.msgtype} has a damaged definition: {reason}"
@@ -276,12 +273,8 @@ def _check_beginning(path: Path) -> None:
         raise LogError("the file is empty", where=path, how="record or copy it again")
     if not head.startswith(MAGIC[path.suffix]):
         true = next((suffix for suffix, magic in MAGIC.items() if head.startswith(magic)), "")
-        how = (
-            f"it is a {true} file: rename it"
-            if true
-            else "it is damaged, or of another format: copy it again, or give it the extension of its format"
-        )
-        raise LogError(f"not a {path.suffix} file", where=path, how=how)
+        how = "it is damaged, or of another format: copy it again, or give it the extension of its format"
+        raise LogError(f"not a {path.suffix} file", where=path, how=f"it is a {true} file: rename it" if true else how)
 
 
 def _repair(path: Path) -> str:

@@ -35,14 +35,9 @@ def points_from_message(message: Any) -> np.ndarray:
         kind = order + _TYPES[field.datatype]
         kinds.append((kind, (field.count,)) if field.count > 1 else kind)  # old drivers write a count of 0 for 1
     try:
-        point = np.dtype(
-            {
-                "names": list(fields),
-                "formats": kinds,
-                "offsets": [field.offset for field in fields.values()],
-                "itemsize": message.point_step,
-            }
-        )
+        offsets = [field.offset for field in fields.values()]
+        layout = {"names": list(fields), "formats": kinds, "offsets": offsets, "itemsize": message.point_step}
+        point = np.dtype(layout)
         data = np.frombuffer(message.data, dtype=np.uint8)
         shape, strides = (message.height, message.width), (message.row_step, message.point_step)
         if message.height == 1 or message.width == 0:
