@@ -307,8 +307,7 @@ class BagLog(Log):
         """Yield the messages with given stamps, found by their arrival in an indexed file."""
         columns = self._columns(topic)
         if columns is None:
-            wanted = set(times.tolist())
-            yield from (one for one in self.messages(topic.name, stamps=stamps) if one[0] in wanted)
+            yield from (one for one in self.messages(topic.name, stamps=stamps) if one[0] in times)
             return
         readers = [r for r in self._readers if any(c.topic == topic.name and c.msgcount for c in r.connections)]
         for reader, one in zip(readers, columns, strict=True):
