@@ -21,8 +21,6 @@ from offpiste.transport.zenoh_session import Mode, opened_session, router_proces
 
 _GID: Final = 16
 """Length of a publisher's GID [bytes]."""
-_NODE: Final = "offpiste"
-_MIB: Final = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -192,7 +190,7 @@ class ZenohTransport:
         if address is None:
             return None
         msgtype = address.type or wanted or self._known.get(topic, "")
-        if len(sample.payload) > self.settings.largest * _MIB:
+        if len(sample.payload) > self.settings.largest * 2**20:
             self._refuse(topic, "too large")
         elif (wanted and msgtype != wanted) or msgtype not in self.types:
             self._refuse(topic, f"{'of' if wanted else 'unknown'} type {msgtype[:80] or '(unknown)'}")
@@ -206,5 +204,5 @@ class ZenohTransport:
         self.refused.add(f"{topic}: {why}")
 
     def _announce(self, number: int, address: Address, *, publishes: bool, keep: bool = False) -> None:
-        tokens = self.keys.tokens(self._session_id, _NODE, number, address, publishes=publishes, keep=keep)
+        tokens = self.keys.tokens(self._session_id, "offpiste", number, address, publishes=publishes, keep=keep)
         self._held += [self._session.liveliness().declare_token(token) for token in tokens]
