@@ -17,6 +17,7 @@ from offpiste.live.session import RecordSettings, refuse_unmeasured
 from offpiste.live.viewers import listening_at
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.planning.caution import AddSpread
+from offpiste.rig.outputs import Timeouts
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.planner import load_planner
 from offpiste.runtime.settings import RuntimeSettings
@@ -60,7 +61,7 @@ def test_the_timeouts_of_the_rig_are_used(tmp_path, monkeypatch):
     monkeypatch.setattr("offpiste.live.commands.supervise", lambda settings: begun.append(settings))
     settings = live_settings(tmp_path, more, actuators=True)
     run_live(settings)
-    assert begun[0].runtime.timeouts == replace(settings.runtime.timeouts, state=0.25)
+    assert begun[0].runtime.timeouts == Timeouts(state=0.25)
 
 
 def test_a_model_whose_inputs_the_rig_lacks_is_refused(tmp_path, caplog):
@@ -89,16 +90,16 @@ def test_a_replay_writes_its_commands_and_names_a_sensor_that_was_left_out(tmp_p
     rear, log, table = '[lidars.rear]\ntopic = "/rear"\noptional = true\n', tmp_path / "a.mcap", tmp_path / "a.csv"
     with McapWriter(log) as writer:
         writer.write("/tf_static", tree(), START)
-        for row in range(100):
+        for row in range(70):
             stamp = START + row * 20_000_000
             writer.write("/odom", odometry(row / 50), stamp)
-            for topic in () if row % 5 else ("/points",) if row < 90 else ("/points", "/rear"):
+            for topic in () if row % 5 else ("/points",) if row < 60 else ("/points", "/rear"):
                 writer.write(topic, cloud(row / 50), stamp)
     run_live(live_settings(tmp_path, rear, actuators=True), replay=log, commands=table)
     assert "rear was left out" in caplog.text
     header, *rows = table.read_text().splitlines()
     assert header == "time,throttle,brake,steer,mode,why"
-    assert len(rows) > 20
+    assert len(rows) > 5
 
 
 def line(folder, capsys, *options):
