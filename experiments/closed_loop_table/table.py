@@ -233,7 +233,7 @@ def write_table(results: Sequence[dict[str, Any]], out: Path, limit: float) -> s
     """Write table.md and results.json; returns the table."""
     text = table(results, limit)
     write_text(out / "table.md", text)
-    kept = [{k: v for k, v in r.items() if k not in ("stages", "runtime", "driven_xy")} for r in results]
+    kept = [{k: v for k, v in r.items() if k not in ("stages", "runtime")} for r in results]
     write_text(out / "results.json", json.dumps(kept, indent=1, allow_nan=False) + "\n")
     return text
 

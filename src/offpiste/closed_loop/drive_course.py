@@ -40,8 +40,6 @@ logger = logging.getLogger(__name__)
 
 _UNFINISHED = ".offpiste-drive"
 """Hidden file that marks an incomplete folder."""
-EVERY = 10
-"""Rows between places of the driven path in result.json."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +206,6 @@ def _result(
         "surprise_mps": chosen.surprise,
         **scores,
         "firm_way": firm_way(trace, chosen.course, chosen.firm),
-        "driven_xy": [[round(float(value), 2) for value in xy] for xy in trace.place[::EVERY]],
         "plan_error_5s_m": {
             "mean": float(errors.mean()) if len(errors) else None,
             "median": float(np.median(errors)) if len(errors) else None,
