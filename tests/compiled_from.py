@@ -14,7 +14,7 @@ PACKAGE = Path(compilation.__file__).parents[1]
 MACHINERY = {"offpiste.native.compilation", "offpiste.core.registry", "offpiste.core.errors"}
 """Modules whose values are in no compiled code, or, of the first, in every digest."""
 
-METHODS = {"inlined", "loop", "summing_loop", "maker", "entry"}
+METHODS = {"inlined", "loop", "entry"}
 
 
 def file_of(module: str) -> Path | None:

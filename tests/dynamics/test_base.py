@@ -11,7 +11,7 @@ from factories import COMMANDED, VEHICLE, Situation, gradients_agree, unsettled
 from offpiste.core.conventions import ACTUATORS, CONTROL
 from offpiste.core.state import ModelState, RecordedTerrain, TerrainSource, Trajectory
 from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
-from offpiste.dynamics.kernels.model_arrays import from_kernel_state, to_kernel_state
+from offpiste.dynamics.kernels.model_state import from_kernel_state, to_kernel_state
 
 CODES = {"df": 3, "cf": 4, "dc": 4}
 """Two features and a flag, or their compression."""

@@ -42,7 +42,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.windows import Batch, FeaturesUnderWheels, Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
-from offpiste.dynamics.kernels.model_arrays import to_kernel_state
+from offpiste.dynamics.kernels.model_state import to_kernel_state
 from offpiste.evaluation.evaluate import EvaluatedModel, evaluate_models
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.extract import extract

@@ -9,12 +9,8 @@ import torch
 
 from compiled_from import PACKAGE, compiled_from
 from offpiste.native import compilation
-from offpiste.native.compilation import (
-    Compiler,
-    single_threaded_torch,
-    spread_blocks,
-    spread_kernel,
-)
+from offpiste.native.compilation import Compiler
+from offpiste.native.threads import single_threaded_torch, spread_blocks, spread_kernel
 
 
 def test_an_entry_works_where_machine_code_cannot_be_cached():

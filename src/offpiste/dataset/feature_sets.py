@@ -11,7 +11,8 @@ from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.wheel_passes import Passes
 from offpiste.mapping.voxels_to_layers import MapCells
-from offpiste.native.compilation import FEATURE_SETS_KEPT, single_threaded_torch
+from offpiste.native.compilation import FEATURE_SETS_KEPT
+from offpiste.native.threads import single_threaded_torch
 
 TOLERANCE = 5.0  # largest difference between the distance of a feature set and the vehicle's at recording [m]
 

@@ -13,9 +13,10 @@ from torch import Tensor
 from offpiste.core.conventions import HISTORY_STEPS
 from offpiste.core.files import write_bytes, write_text
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.header.networks import parameter_constants, printed_networks
+from offpiste.dynamics.header.networks import network_members, parameter_constants
 from offpiste.dynamics.header.start_text import encoder_members, encoder_text, start_members, start_text
 from offpiste.dynamics.header.step_text import shipped_text, step_text
+from offpiste.dynamics.kernels.networks import model_networks
 from offpiste.exports.formats import FORMATS, ImageOptions, refuse_images, refuse_without_kernels, write_about
 from offpiste.exports.parity import digest_of, features_of, parity_bytes, parity_case
 from offpiste.training.run import Run
@@ -44,7 +45,7 @@ def model_header(dynamics: Dynamics, about: str) -> str:
 
 def _weights_text(dynamics: Dynamics) -> str:
     """Return the C definitions of `offpiste_model`, `offpiste_starts` and, with an encoder, `offpiste_features`."""
-    networks = {of.name: of.members for of in printed_networks(dynamics)}
+    networks = {of.name: network_members(of) for of in model_networks(dynamics)}
     starts = start_members(dynamics)
     parts = [
         _struct("offpiste_params", "offpiste_model", {"constants": parameter_constants(dynamics), **networks}),

@@ -12,10 +12,9 @@ from offpiste.core.conventions import DT, WHEELS
 from offpiste.core.errors import OffpisteError, RunError
 from offpiste.core.files import check_folder, write_folder
 from offpiste.core.registry import Registry
-from offpiste.dynamics.header.step_text import absent_actuators
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.coverage import uncovered, uncovered_encoder
-from offpiste.dynamics.kernels.model_arrays import units
+from offpiste.dynamics.kernels.networks import absent_actuators, units
 from offpiste.training.checkpoint import WEIGHTS, save_json
 from offpiste.training.run import Run, load_run
 

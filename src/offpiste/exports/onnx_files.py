@@ -15,7 +15,7 @@ from offpiste.core.errors import OffpisteError, RunError, require
 from offpiste.core.shipped import PREFIX, pca_file
 from offpiste.core.state import History, Terrain
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.kernels.model_arrays import hidden_and_cells
+from offpiste.dynamics.kernels.model_state import hidden_and_cells
 from offpiste.exports.c_files import write_readme
 from offpiste.exports.formats import FORMATS, ImageOptions, write_about
 from offpiste.exports.parity import parity_case, past_of

@@ -15,7 +15,7 @@ from offpiste.live.session import Session, sensor_setup_of
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
 from offpiste.mapping.replay import Keyframes
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.native.compilation import single_threaded_torch
+from offpiste.native.threads import single_threaded_torch
 from offpiste.perception.camera import make_pinhole_camera
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.outputs import can_reverse

@@ -20,7 +20,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.core.errors import MapError
-from offpiste.native.compilation import MAPPING, spread_blocks
+from offpiste.native.compilation import MAPPING
+from offpiste.native.threads import spread_blocks
 
 HALF_OF_RINGS: Final = 20.0
 """Distance within which half of the rings lie [m]: rings are 0.3 m wide at the sensor, 1.3 m there and 5 m at 60 m."""

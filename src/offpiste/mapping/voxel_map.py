@@ -18,7 +18,8 @@ from jaxtyping import Bool, Float, Int
 
 from offpiste.core.errors import MapError
 from offpiste.core.registry import Registry
-from offpiste.native.compilation import MAPPING, Function, spread_blocks
+from offpiste.native.compilation import MAPPING, Function
+from offpiste.native.threads import spread_blocks
 
 Scalar = Any  # number or array
 

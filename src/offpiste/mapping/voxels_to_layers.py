@@ -22,7 +22,7 @@ from offpiste.mapping.infill import fill_gaps, find_grounds, fit_planes_at, make
 from offpiste.mapping.normals import SUMS, fit_planes, smooth_residuals
 from offpiste.mapping.terrain_map import LAYERS, TerrainLayers, empty_layers, nothing_known
 from offpiste.mapping.voxel_map import VoxelMap, check_positive
-from offpiste.native.compilation import spread_blocks
+from offpiste.native.threads import spread_blocks
 
 
 @dataclass(frozen=True)

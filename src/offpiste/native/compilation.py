@@ -1,15 +1,11 @@
-"""Compilation of loops by Numba, and threads over their blocks (Numba's own were slower beside torch's OpenMP)."""
+"""Compilation of loops by Numba."""
 
 import hashlib
 import inspect
-import os
-from collections.abc import Callable, Iterable, Iterator, Set
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
-from contextvars import ContextVar
+from collections.abc import Callable, Iterable, Set
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
-from itertools import pairwise
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +15,6 @@ from numba import types
 from numba.core import cgutils
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler as NumbaCompiler
-from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
 from offpiste.native.kernel_cache import KernelCache
@@ -36,7 +31,6 @@ class Compiler:
         fastmath: fast-math flags of LLVM. None may assume finite numbers: diverged rollouts must be detected.
         loops_make_arrays, entries_make_arrays: whether these functions create or keep arrays. Others are compiled
             without reference counting and are up to three times as fast, but cannot assign slices.
-        wide: use vectors of 512 bits if available (LLVM prefers 256 on Intel). Sums over lanes round differently.
         part: name for the message before compilation; "" for no message.
         seconds: duration of the compilation.
     """
@@ -45,7 +39,6 @@ class Compiler:
     fastmath: Set[str] = frozenset()
     loops_make_arrays: bool = True
     entries_make_arrays: bool = True
-    wide: bool = False
     part: str = ""
     seconds: int = 0
 
@@ -56,15 +49,6 @@ class Compiler:
     def loop(self, function: Function) -> Function:
         """Compile a function for other compiled functions."""
         return _compiled(function, **self._options(self.loops_make_arrays))
-
-    def summing_loop(self, function: Function) -> Function:
-        """Compile a function for other compiled functions that may sum in any order."""
-        options = self._options(self.loops_make_arrays)
-        return _compiled(function, **options | {"fastmath": {*self.fastmath, "reassoc"}})
-
-    def maker(self, function: Function) -> Function:
-        """Compile a function for other compiled functions that creates arrays."""
-        return _compiled(function, **self._options(makes_arrays=True))
 
     def entry(self, function: Function, *, salt: str = "") -> Function:
         """Compile a function for Python; it releases the GIL and is cached (`KernelCache`).
@@ -79,7 +63,7 @@ class Compiler:
         if salt:
             function.__qualname__ += f"_{hashlib.sha256(salt.encode()).hexdigest()[:16]}"
         options = self._options(self.entries_make_arrays) | {"nogil": True}
-        options["pipeline_class"] = WideSelfContained if self.wide else SelfContained
+        options["pipeline_class"] = SelfContained
         entry: Any = _compiled(function, **options)
         with suppress(RuntimeError):  # the cache has no folder
             entry._cache = KernelCache(entry.py_func, self.part, self.seconds)
@@ -87,8 +71,7 @@ class Compiler:
         return entry  # type: ignore[no-any-return]
 
     def _options(self, makes_arrays: bool) -> dict[str, Any]:
-        options: dict[str, Any] = {"pipeline_class": Wide} if self.wide else {}
-        options |= {} if makes_arrays else {"_nrt": False}
+        options: dict[str, Any] = {} if makes_arrays else {"_nrt": False}
         return options | ({"fastmath": set(self.fastmath)} if self.fastmath else {})
 
     @cached_property
@@ -102,11 +85,6 @@ def sources_digest(sources: Iterable[str]) -> str:
     roots = [Path(__file__).parents[1] / source for source in sources]
     files = [file for root in roots for file in (sorted(root.rglob("*.py")) if root.is_dir() else [root])]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-
-
-def target_machine() -> list[str]:
-    """Return platform, processor and features that kernels are compiled for; others may round differently."""
-    return [str(part) for part in cpu_target.target_context.codegen().magic_tuple()]
 
 
 class _OwnCopies(JITCodeLibrary):  # type: ignore[misc]
@@ -136,34 +114,6 @@ class SelfContained(NumbaCompiler):  # type: ignore[misc]
         return super().define_pipelines()  # type: ignore[no-untyped-call]
 
 
-class _WideVectors(JITCodeLibrary):  # type: ignore[misc]
-    """Machine code with the widest vectors of the processor."""
-
-    def add_ir_module(self, ir_module: Any) -> None:
-        """Set the preference per function; an option of LLVM would hold for the whole process."""
-        for function in ir_module.functions:
-            if not function.is_declaration:
-                # llvmlite's `add` accepts only attributes without values.
-                set.add(function.attributes, '"prefer-vector-width"="512"')
-        super().add_ir_module(ir_module)  # type: ignore[no-untyped-call]
-
-
-class _WideOwnCopies(_OwnCopies, _WideVectors):
-    """Machine code with internal copies and the widest vectors."""
-
-
-class Wide(SelfContained):
-    """Numba compiler for called functions, with wide vectors."""
-
-    library = _WideVectors
-
-
-class WideSelfContained(SelfContained):
-    """`SelfContained` with wide vectors."""
-
-    library = _WideOwnCopies
-
-
 def _compiled(function: Function, **options: Any) -> Function:
     # Tests wrap functions to check types; Numba needs the wrapped function.
     return numba.njit(error_model="numpy", **options)(inspect.unwrap(function))  # type: ignore[no-any-return]
@@ -188,30 +138,6 @@ FILTERS: Final = Compiler(_RESPONSES, FUSED, loops_make_arrays=False, entries_ma
 FILTER_SUMS: Final = Compiler(_RESPONSES, loops_make_arrays=False, entries_make_arrays=False)
 """Compilers of the backbone `filterbank`, with and without fused multiply-add."""
 FEATURE_SETS_KEPT: Final = Compiler(("dataset/feature_sets.py",), loops_make_arrays=False, entries_make_arrays=False)
-_STEP: Final = (
-    "dynamics/kernels",
-    *(f"dynamics/{name}.py" for name in ("actuator_lags", "bicycle", "lstm")),
-    "core/channels.py",
-    "core/conventions.py",
-    "mapping/terrain_map.py",
-)
-"""Sources of a step, including modules of its constants."""
-KERNELS: Final = Compiler(
-    _STEP,
-    FUSED,
-    loops_make_arrays=False,
-    wide=True,
-    part="the kernels of training",
-    seconds=20,
-)
-PLANNING: Final = Compiler(
-    (*_STEP, "planning", "uncertainty/spread.py"),
-    FUSED,
-    loops_make_arrays=False,
-    wide=True,
-    part="the planner's kernels",
-    seconds=20,
-)
 PHYSICS: Final = Compiler(("simulation", "core/conventions.py"), part="the simulated vehicle", seconds=10)
 """Compiler of the simulated vehicle, without fast math."""
 RAYS: Final = Compiler(
@@ -237,53 +163,3 @@ def call_address(_context, function, arguments):  # type: ignore[no-untyped-def]
         return ir.Constant(ir.IntType(32), 0)
 
     return types.int32(types.intp, types.UniTuple(types.intp, len(arguments))), build  # type: ignore[no-untyped-call]
-
-
-def spread_blocks(threads: int, blocks: int, loop: Callable[..., None], *arguments: object) -> None:
-    """Call `loop(first, last, *arguments)` on contiguous ranges of blocks, one per thread."""
-    threads = min(threads, blocks)
-    if threads <= 1:
-        return loop(0, blocks, *arguments)
-    cuts = [blocks * i // threads for i in range(threads + 1)]
-    first, *others = pairwise(cuts)
-    futures = [_pool(threads).submit(loop, *part, *arguments) for part in others]
-    loop(*first, *arguments)
-    for future in futures:
-        future.result()
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads - 1, thread_name_prefix="offpiste")
-
-
-if hasattr(os, "register_at_fork"):  # threads do not survive a fork
-    os.register_at_fork(after_in_child=_pool.cache_clear)
-
-
-_kernel_threads: ContextVar[int | None] = ContextVar("kernel_threads", default=None)
-
-
-def spread_kernel(blocks: int, kernel: Callable[..., None], *arguments: object) -> None:
-    """Call `kernel(first, last, *arguments)` on contiguous ranges of blocks, with as many threads as torch."""
-    import torch  # takes a second and 150 MB, and most compiled code runs without it
-
-    spread_blocks(_kernel_threads.get() or torch.get_num_threads(), blocks, kernel, *arguments)
-
-
-@contextmanager
-def single_threaded_torch() -> Iterator[None]:
-    """Run torch's own operations in one thread; kernels use as many as before.
-
-    OpenMP's threads spin for milliseconds after each operation, on cores that kernels need.
-    """
-    import torch
-
-    before = torch.get_num_threads()
-    token = _kernel_threads.set(_kernel_threads.get() or before)
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-        _kernel_threads.reset(token)

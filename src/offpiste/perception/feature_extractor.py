@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Float32, UInt8
 
-from offpiste.native.compilation import single_threaded_torch
+from offpiste.native.threads import single_threaded_torch
 from offpiste.perception.backbones import Backbone, open_backbone
 from offpiste.perception.pca import PrincipalComponents, load_pca
 

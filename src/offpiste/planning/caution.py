@@ -3,16 +3,18 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
+import torch
 from jaxtyping import Float
 from scipy import stats
-from torch import Tensor
+from torch import Tensor, nn
 
 from offpiste.core.errors import PlanningError
 from offpiste.core.state import TerrainSource, Trajectory
+from offpiste.dynamics.kernels.layout import COMMANDS
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.uncertainty.spread import Spread, inputs_along
+from offpiste.uncertainty.spread import MOTION, Spread, inputs_along
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,39 @@ class Caution:
 
     spread: Spread
     reach: float
+
+
+class SpreadWeights(NamedTuple):
+    """Network of a spread as compiled code reads it, its standardisation folded into the first layer.
+
+    Attributes:
+        inner, bias: hidden layer, input by input: motion, controls that kernels know (`layout.COMMANDS`), mean code.
+        outer, outer_bias: output layer.
+        start: variance of the velocity at the start, along and across.
+        reach: number of scales that count, times the spread's factor.
+    """
+
+    inner: Float[Tensor, "I H"]
+    bias: Float[Tensor, " H"]
+    outer: Float[Tensor, "H 2"]
+    outer_bias: Float[Tensor, " 2"]
+    start: Float[Tensor, " 2"]
+    reach: float
+
+
+@torch.no_grad()
+def spread_weights(caution: Caution, vehicle: Vehicle) -> SpreadWeights:
+    """Return the weights of a spread."""
+    spread = caution.spread
+    first, last = (layer for layer in spread.layers.children() if isinstance(layer, nn.Linear))
+    scaled = first.weight / spread.deviation
+    start, reach = nn.functional.softplus(spread.start).square(), caution.reach * float(spread.factor)
+    before, controls = len(MOTION), [COMMANDS.index(name) for name in vehicle.control]
+    motion, of_controls, codes = scaled.t().split((before, len(controls), scaled.shape[1] - before - len(controls)))
+    known = scaled.new_zeros(len(COMMANDS), len(scaled))
+    known[controls] = of_controls
+    inner, bias = torch.cat((motion, known, codes)), first.bias - scaled @ spread.mean
+    return SpreadWeights(inner, bias, last.weight.t(), last.bias, start, reach)
 
 
 def risk_of(text: str) -> Risk:

@@ -5,10 +5,10 @@ not occur in training data. Gears are not sampled.
 """
 
 from collections.abc import Callable
+from ctypes import Structure, c_int, c_void_p
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -17,7 +17,7 @@ from offpiste.core.channels import CONTROLS, OPTIONAL_CONTROLS
 from offpiste.core.conventions import CONTROL
 from offpiste.core.errors import PlanningError
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.native.compilation import PLANNING, spread_kernel
+from offpiste.native.library import CHUNK, Arrays, call, library
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,13 @@ def pedals_of(controls: Float[Tensor, "*P 3"]) -> Float[Tensor, "*P 2"]:
     return torch.stack((throttle - brake, steer), dim=-1)
 
 
+class _Bounds(Structure):
+    _fields_ = (
+        *((name, c_void_p) for name in ("previous", "low", "high", "change")),
+        *((name, c_int) for name in ("count", "steps", "columns", "free")),
+    )
+
+
 def with_pedal(cost_of: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
     """Return a function of pedal and steer [K, T, 2] from a function of throttle, brake and steer."""
     return lambda pedal_and_steer: cost_of(controls_of(pedal_and_steer))
@@ -88,19 +95,20 @@ def complete(
 def keep_within(
     limits: Limits, dt: float, controls: Float[Tensor, "K T U"], previous: Float[Tensor, " U"] | None = None
 ) -> Float[Tensor, "K T U"]:
-    """Clip controls step by step to bounds and rates; compiled on the CPU, `keep_within_stepwise` elsewhere.
+    """Clip controls step by step to bounds and rates; `keep_within_stepwise`, compiled for float32 on the CPU.
 
     Args:
         dt: duration of a step [s].
         previous: control before the first step; None does not limit the first step.
     """
-    if limits.rate is None or controls.device.type != "cpu" or controls.dtype not in (torch.float32, torch.float64):
+    fast = controls.device.type == "cpu" and controls.dtype == torch.float32 and library() is not None
+    if limits.rate is None or not fast:
         return keep_within_stepwise(limits, dt, controls, previous)
     low, high, change = bounds(limits, dt, controls)
     first = torch.full_like(low, torch.nan) if previous is None else previous.to(low.dtype).clamp(low, high)
-    kept = torch.empty(controls.shape, dtype=controls.dtype)
-    arrays = (part.numpy() for part in (first, low, high, change))
-    spread_kernel(len(controls), _walk, controls.detach().numpy(), *arrays, previous is None, kept.numpy())
+    arrays, kept = Arrays(), torch.empty(controls.shape)
+    given = _Bounds(*map(arrays.floats, (first, low, high, change)), *controls.shape, previous is None)
+    call("keep_within", -(-len(controls) // CHUNK), given, controls.detach().contiguous(), kept)
     return kept
 
 
@@ -124,34 +132,3 @@ def bounds(limits: Limits, dt: float, controls: Tensor) -> tuple[Tensor, Tensor,
     low, high = controls.new_tensor(limits.low), controls.new_tensor(limits.high)
     change = torch.full_like(low, torch.inf) if limits.rate is None else controls.new_tensor(limits.rate) * dt
     return low, high, change
-
-
-@PLANNING.entry
-def _walk(
-    first: int,
-    last: int,
-    controls: np.ndarray,
-    previous: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    change: np.ndarray,
-    free: bool,
-    kept: np.ndarray,
-) -> None:
-    """Clip samples `first` ... `last - 1`; NaN propagates to all later steps; `free`: no rate limit in the first."""
-    _, steps, count = controls.shape
-    before = np.empty_like(previous)
-    for k in range(first, last):
-        before[:] = previous
-        for t in range(steps):
-            for u in range(count):
-                value, was = controls[k, t, u], before[u]
-                value = low[u] if value < low[u] else value
-                value = high[u] if value > high[u] else value
-                if t > 0 or not free:
-                    least, most = was - change[u], was + change[u]
-                    value = least if value < least else value
-                    value = most if value > most else value
-                    value = value if was == was else was
-                before[u] = value
-                kept[k, t, u] = value

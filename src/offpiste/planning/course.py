@@ -1,15 +1,17 @@
 """Course to follow: its layers on a grid of cells, its ways, and the position of the vehicle along it."""
 
 import math
+from ctypes import Structure, c_double, c_int, c_void_p
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
+from scipy.spatial import cKDTree
 
 from offpiste.core.errors import PlanningError
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.native.compilation import PLANNING, spread_kernel
+from offpiste.native.library import address, call, library
 
 BLOCK = 4
 """Side of a block [cells]; far from the path, the cells of a block share their nearest point of the path."""
@@ -37,66 +39,29 @@ def along_path(
         x, y: coordinates of the columns and rows of cells, evenly spaced [m].
     """
     result = np.empty((len(y), len(x), 1 + values.shape[1]), np.float32)
-    slack = STRIDE * float(np.linalg.norm(np.diff(path, axis=0), axis=1).max())
-    resolution = float(x[1] - x[0]) if len(x) > 1 else 0.0
-    spread_kernel(-(-len(y) // BLOCK), _fill, np.ascontiguousarray(path), values, slack, x, y, resolution, result)
+    if library() is None:
+        centres = np.stack(np.meshgrid(x, y), axis=-1)
+        result[..., 0], nearest = cKDTree(path).query(centres)
+        result[..., 1:] = values[nearest]
+        return result
+    points, columns, rows = (np.ascontiguousarray(part, np.float64) for part in (path, x, y))
+    numbers = np.ascontiguousarray(values, np.float32)
+    given = _Path(
+        *map(address, (points, numbers, columns, rows)), *numbers.shape, len(x), len(y), BLOCK, NEAR, STRIDE,
+        slack=STRIDE * float(np.linalg.norm(np.diff(path, axis=0), axis=1).max()),
+        resolution=float(x[1] - x[0]) if len(x) > 1 else 0.0,
+    )  # fmt: skip
+    call("fill_course", -(-len(y) // BLOCK), given, result)
     return result
 
 
-@PLANNING.inlined
-def _nearest(px: float, py: float, path: np.ndarray, begin: int, end: int, stride: int) -> tuple[int, float]:
-    """Return index and squared distance of the nearest of every `stride`-th point."""
-    best, least = begin, np.inf
-    for k in range(begin, end, stride):
-        dx, dy = path[k, 0] - px, path[k, 1] - py
-        squared = dx * dx + dy * dy
-        if squared < least:
-            best, least = k, squared
-    return best, least
-
-
-@PLANNING.inlined
-def _within(px: float, py: float, path: np.ndarray, reach: float) -> tuple[int, int]:
-    """Return the range of points of all strides that begin within `reach` [m]."""
-    begin, end = len(path), 0
-    for k in range(0, len(path), STRIDE):
-        dx, dy = path[k, 0] - px, path[k, 1] - py
-        if dx * dx + dy * dy <= reach * reach:
-            begin, end = min(begin, k), k + STRIDE
-    return begin, min(end, len(path))
-
-
-@PLANNING.entry
-def _fill(
-    first: int,
-    last: int,
-    path: np.ndarray,
-    values: np.ndarray,
-    slack: float,
-    x: np.ndarray,
-    y: np.ndarray,
-    resolution: float,
-    result: np.ndarray,
-) -> None:
-    """Fill the rows of blocks `first` ... `last - 1`; `slack`: largest length of a stride [m]."""
-    half = (BLOCK - 1) / 2 * resolution
-    for row in range(first, last):
-        for column in range(0, len(x), BLOCK):
-            px, py = x[column] + half, y[row * BLOCK] + half
-            distance = np.sqrt(_nearest(px, py, path, 0, len(path), STRIDE)[1])
-            near = distance < NEAR * BLOCK * resolution
-            # A cell lies up to sqrt(2) half from the middle, and its nearest point up to as far again.
-            begin, end = _within(px, py, path, distance + slack + (3 * half if near else 0.0))
-            best, _ = _nearest(px, py, path, begin, end, 1)
-            for j in range(row * BLOCK, min((row + 1) * BLOCK, len(y))):
-                for i in range(column, min(column + BLOCK, len(x))):
-                    if near:
-                        best, squared = _nearest(x[i], y[j], path, begin, end, 1)
-                    else:
-                        squared = (path[best, 0] - x[i]) ** 2 + (path[best, 1] - y[j]) ** 2
-                    result[j, i, 0] = np.sqrt(squared)
-                    for v in range(values.shape[1]):
-                        result[j, i, 1 + v] = values[best, v]
+class _Path(Structure):
+    _fields_ = (
+        *((name, c_void_p) for name in ("points", "values", "x", "y")),
+        *((name, c_int) for name in ("count", "width", "columns", "rows", "block", "near", "stride")),
+        ("slack", c_double),
+        ("resolution", c_double),
+    )
 
 
 SHORTEST: Final = 0.01

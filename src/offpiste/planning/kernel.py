@@ -1,49 +1,88 @@
-"""Costs of control sequences by a fused kernel on the CPU; the reference is `driving_cost.driving_costs`.
-
-The first call compiles for some 20 seconds; the machine code is kept in the user's cache folder
-(`offpiste.native.kernel_cache`).
-"""
+"""Rollouts on a map with their costs by the compiled library: what planners call instead of `driving_costs`."""
 
 from collections.abc import Callable
+from ctypes import CDLL, Structure, c_float, c_int, c_void_p
 from dataclasses import replace
+from functools import cache
 from typing import Final
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from offpiste.core.conventions import ACTUATORS, CONTROL
+from offpiste.core.conventions import ACTUATORS, CONTROL, DT
 from offpiste.core.state import ModelState
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.feature_encoder import FeatureEncoder
+from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.autograd import supports
-from offpiste.dynamics.kernels.model_arrays import (
-    compensator_weights,
-    constants,
-    from_kernel_state,
-    learned_constants,
-    networks,
-    recorded_channels,
-    to_kernel_state,
-)
+from offpiste.dynamics.kernels.encoder import encode_cells, supports_encoder
+from offpiste.dynamics.kernels.model_state import from_kernel_state, to_kernel_state
+from offpiste.dynamics.kernels.structures import model_of
 from offpiste.mapping.terrain_sampler import MapStack
-from offpiste.native.compilation import spread_kernel
+from offpiste.native.compiler import planning_library
+from offpiste.native.library import CHUNK, Arrays, call
+from offpiste.planning.caution import Caution, spread_weights
 from offpiste.planning.controls import complete
+from offpiste.planning.costs.declaration import cost_terms
+from offpiste.planning.costs.layers import CostLayer
+from offpiste.planning.costs.text import terms_text
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
-from offpiste.planning.kernel_costs import kernel_costs
-from offpiste.planning.kernel_stray import stray_weights
-from offpiste.planning.kernel_terrain import CostCells, Grid, GroundCells
 from offpiste.planning.mppi import CostOf
+from offpiste.uncertainty.spread import EVERY, INTERVAL
 
 Codes = tuple[Float[Tensor, "ny nx E"], Float[Tensor, " E"]]
 """Codes of the cells of a map, and of a cell without features."""
 
-PART: Final = 4096
-"""Number of cells encoded at a time."""
+READINGS: Final = ("mean of wheels", "least of wheels", "pose point")
+"""Readings of layers, in the order of their numbers in `native/cpp/plan.h`."""
+
+
+_Two, _Three, _Eight = c_float * 2, c_float * 3, c_float * 8  # new types would leave work to garbage collection
+
+
+class _Grid(Structure):
+    _fields_ = (*((name, c_float) for name in ("shift_x", "shift_y", "scale")), ("rows", c_int), ("columns", c_int))
+
+
+class _Stray(Structure):
+    _fields_ = (
+        *((name, c_int) for name in ("hidden", "inputs", "every")),
+        *((name, c_void_p) for name in ("inner", "bias", "outer")),
+        *((name, _Two) for name in ("outer_bias", "start")),
+        *((name, c_float) for name in ("reach", "interval", "dt")),
+    )
+
+
+class _Situation(Structure):
+    _fields_ = (
+        ("ground", _Grid),
+        ("costs", _Grid),
+        ("wheels", _Eight),
+        ("control", _Three),
+        *((name, c_void_p) for name in ("start", "slope", "codes", "missing", "layers", "outside", "numbers", "reads")),
+        ("layer_count", c_int),
+        ("stray", _Stray),
+    )
+
+
+class _Samples(Structure):
+    _fields_ = (
+        *((name, c_int) for name in ("count", "steps", "columns", "kept")),
+        *((name, c_void_p) for name in ("controls", "costs", "states")),
+    )
+
+
+def supports_costs(table: tuple[CostLayer, ...]) -> bool:
+    """Return whether there is compiled code of the declared cost terms for maps of these layers."""
+    return _planning_library(tuple(cost_terms()), table) is not None
+
+
+@cache
+def _planning_library(terms: tuple[str, ...], table: tuple[CostLayer, ...]) -> CDLL | None:
+    return planning_library(terms_text(table))
 
 
 @torch.no_grad()
@@ -54,10 +93,10 @@ def encode_map(maps: MapStack, encoder: FeatureEncoder | None) -> Codes:
         return features[..., :0].float(), torch.zeros(0, device=features.device)
     missing = encoder.missing()
     codes, seen = missing.repeat(*features.shape[:2], 1), features.isfinite().all(dim=-1)
-    # Small parts stay in the cache.
-    for row, column in zip(*(index.split(PART) for index in seen.nonzero(as_tuple=True)), strict=True):
-        there = torch.ones(len(row), dtype=torch.bool, device=features.device)
-        codes[row, column] = encoder(features[row, column].to(missing.dtype), there)
+    there = features[seen].to(missing.dtype)
+    valid = torch.ones(len(there), dtype=torch.bool, device=there.device)
+    fast = isinstance(encoder, Compressor) and supports_encoder(encoder, there)
+    codes[seen] = encode_cells(encoder, there, valid) if fast else encoder(there, valid)  # type: ignore[arg-type]
     return codes, missing
 
 
@@ -90,7 +129,7 @@ def fused_costs(
     roll = _bind(dynamics, model_state, situation, weights, codes)
 
     def cost_of(controls: Tensor) -> Tensor:
-        return roll(controls, torch.empty(0, 0, 6))
+        return roll(controls, None)
 
     return cost_of
 
@@ -125,77 +164,97 @@ def kernel_model_state(
 
 @torch.no_grad()
 def _bind(
+    dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: CostWeights, codes: Codes
+) -> Callable[[Tensor, Tensor | None], Tensor]:
+    _check(dynamics, model_state, codes)
+    vehicle, model, arrays = dynamics.vehicle, model_of(dynamics), Arrays()
+    given = _situation(dynamics, model_state, situation, weights, codes, arrays)
+    library = _planning_library(tuple(cost_terms()), situation.costs.table)
+    if library is None:
+        raise ValueError("no kernel for these cost terms; see `supports_costs`")
+
+    def roll(controls: Tensor, states: Tensor | None) -> Tensor:
+        widths, wanted = {len(CONTROL), len(vehicle.control_columns)}, (torch.float32, torch.device("cpu"))
+        if controls.ndim != 3 or controls.shape[2] not in widths or (controls.dtype, controls.device) != wanted:
+            result = f"{list(controls.shape)}, {controls.dtype} on {controls.device}"
+            raise ValueError(f"controls are {result}; the kernel wants [K, T, {min(widths)}], float32 on the CPU")
+        own, costs = Arrays(), torch.empty(len(controls))
+        completed = complete(vehicle, controls, situation.gear)
+        samples = _Samples(
+            *completed.shape,
+            0 if states is None else states.shape[2],
+            own.floats(completed),
+            own.bytes(costs),
+            None if states is None else own.bytes(states),
+        )
+        call("plan", -(-len(controls) // CHUNK), model, given, samples, of=library)
+        assert arrays
+        return costs
+
+    return roll
+
+
+def _situation(
     dynamics: Dynamics,
     model_state: ModelState,
     situation: Situation,
     weights: CostWeights,
     codes: Codes,
-) -> Callable[[Tensor, Tensor], Tensor]:
-    _check(dynamics, model_state, codes)
-    vehicle, costs = dynamics.vehicle, kernel_costs(situation.costs.table)
-    given = (
-        situation.control.float().numpy(),
-        recorded_channels(vehicle),
-        constants(dynamics, learned_constants(dynamics)),
-        networks(dynamics, compensator_weights(dynamics)),
-        _ground_cells(situation, codes),
-        _cost_cells(situation),
-        stray_weights(situation.caution, vehicle, dynamics.codes),
-        costs.numbers(weights),
-    )
-    start = to_kernel_state(model_state)[0].contiguous().numpy()
-
-    def roll(controls: Tensor, states: Tensor) -> Tensor:
-        widths, wanted = {len(CONTROL), len(vehicle.control_columns)}, (torch.float32, torch.device("cpu"))
-        if controls.ndim != 3 or controls.shape[2] not in widths or (controls.dtype, controls.device) != wanted:
-            result = f"{list(controls.shape)}, {controls.dtype} on {controls.device}"
-            raise ValueError(f"controls are {result}; the kernel wants [K, T, {min(widths)}], float32 on the CPU")
-        controls = complete(vehicle, controls, situation.gear)
-        total = torch.empty(len(controls))
-        blocks = -(-len(controls) // layout.LANES)
-        arrays = start, controls.contiguous().numpy(), *given, total.numpy(), states.numpy()
-        spread_kernel(blocks, costs.roll_out, *arrays)
-        return total
-
-    return roll
-
-
-def _ground_cells(situation: Situation, codes: Codes) -> GroundCells:
-    maps, slope = situation.ground, situation.ground.slope[0]
+    arrays: Arrays,
+) -> _Situation:
+    maps, costs, slope = situation.ground, situation.costs, situation.ground.slope[0]
     cells, missing = codes
-    return GroundCells(
-        _grid(situation.offset - maps.origin[0], maps.resolution, cells),
-        _flat(slope.expand(-1, 2, -1) if slope.shape[1] == 1 else slope),
-        _flat(cells),
-        *(part.float().contiguous().numpy() for part in (missing, situation.wheels)),
+    if slope.shape[1] == 1:
+        slope = slope.expand(-1, 2, -1)
+    return _Situation(
+        ground=_grid(situation, maps.origin[0], maps.resolution, cells),
+        costs=_grid(situation, costs.origin, costs.resolution, costs.layers),
+        wheels=_Eight(*situation.wheels.flatten().tolist()),
+        control=_Three(*situation.control.tolist()),
+        start=arrays.floats(to_kernel_state(model_state)),
+        slope=arrays.floats(slope),
+        codes=arrays.floats(cells),
+        missing=arrays.floats(missing),
+        layers=arrays.floats(costs.layers),
+        outside=arrays.floats(torch.tensor(costs.outside)),
+        numbers=arrays.floats(weights.vector()),
+        reads=arrays.whole([READINGS.index(layer.read) for layer in costs.table]),
+        layer_count=len(costs.table),
+        stray=_stray(situation.caution, dynamics, arrays),
     )
 
 
-def _cost_cells(situation: Situation) -> CostCells:
-    costs = situation.costs
-    more = max(0, 4 - len(costs.outside))
-    return CostCells(
-        _grid(situation.offset - costs.origin, costs.resolution, costs.layers),
-        _flat(pad(costs.layers, (0, more)) if more else costs.layers),
-        np.array((*costs.outside, *[0] * more), np.float32),
+def _grid(situation: Situation, origin: Tensor, resolution: float, cells: Float[Tensor, "ny nx _"]) -> _Grid:
+    return _Grid(*(situation.offset - origin).tolist(), 1 / resolution, *cells.shape[:2])
+
+
+def _stray(caution: Caution | None, dynamics: Dynamics, arrays: Arrays) -> _Stray:
+    """Return the network of a spread; none without caution."""
+    if caution is None:
+        return _Stray(every=1)
+    of = spread_weights(caution, dynamics.vehicle)
+    more = -len(of.bias) % 4
+    return _Stray(
+        hidden=len(of.bias) + more,
+        inputs=len(of.inner),
+        every=EVERY,
+        inner=arrays.floats(pad(of.inner, (0, more))),
+        bias=arrays.floats(pad(of.bias, (0, more))),
+        outer=arrays.floats(pad(of.outer, (0, 2, 0, more))),
+        outer_bias=_Two(*of.outer_bias.tolist()),
+        start=_Two(*of.start.tolist()),
+        reach=of.reach,
+        interval=INTERVAL,
+        dt=DT,
     )
-
-
-def _flat(cells: Float[Tensor, "ny nx C"]) -> Float[np.ndarray, " numbers"]:
-    return cells.float().contiguous().numpy().reshape(-1)
-
-
-def _grid(shift: Float[Tensor, " 2"], resolution: float, cells: Float[Tensor, "ny nx _"]) -> Grid:
-    return Grid(shift.numpy().astype(np.float32), np.float32(1 / resolution), cells.shape[0], cells.shape[1])
 
 
 def _check(dynamics: Dynamics, model_state: ModelState, codes: Codes) -> None:
     """Raise for inputs that the kernel would read wrongly or out of bounds."""
     if not supports(dynamics, model_state.state.device, model_state.state.dtype):
         raise ValueError("no kernel for this model; see `supports`")
-    wanted = dynamics.codes
     result, needed = list(model_state.pack().shape), [1, len(layout.STEPPED) + dynamics.recurrent_size]
     if result != needed:
         raise ValueError(f"the start is {result}; the kernel wants {needed}")
-    if codes[0].shape[-1] != wanted or len(codes[1]) != wanted:
-        raise ValueError(f"codes of {codes[0].shape[-1]} numbers; the model reads {wanted}")
+    if codes[0].shape[-1] != dynamics.codes or len(codes[1]) != dynamics.codes:
+        raise ValueError(f"codes of {codes[0].shape[-1]} numbers; the model reads {dynamics.codes}")

@@ -16,7 +16,7 @@ from torch import Generator, Tensor
 
 from offpiste.core.conventions import DT
 from offpiste.core.errors import NoPlan
-from offpiste.native.compilation import single_threaded_torch
+from offpiste.native.threads import single_threaded_torch
 from offpiste.planning.controls import Limits, keep_within
 from offpiste.planning.noise import Noise, coloured
 

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Generator, Tensor
 
-from offpiste.native.compilation import single_threaded_torch, spread_kernel
+from offpiste.native.threads import single_threaded_torch, spread_kernel
 
 Shape = tuple[int, int, int]
 """Samples K, steps T, controls U."""

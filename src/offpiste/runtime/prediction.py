@@ -18,7 +18,7 @@ from offpiste.mapping.terrain_sampler import Encode, MapStack, MapTerrain, as_co
 from offpiste.planning.controls import complete
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation, driving_costs
-from offpiste.planning.kernel import Codes, coded_map, fused_costs, fused_rollout, kernel_model_state
+from offpiste.planning.kernel import Codes, coded_map, fused_costs, fused_rollout, kernel_model_state, supports_costs
 from offpiste.planning.mppi import CostOf
 from offpiste.runtime.estimator import TrackRows
 
@@ -114,7 +114,7 @@ def model_state_after(
     model: Dynamics, model_state: ModelState, controls: Float[Tensor, "L 3"], area: Area, at: Situation
 ) -> ModelState:
     """Return the model state after the committed controls; `at.gear` is their gear."""
-    if len(controls) and _by_kernel(model, model_state):
+    if len(controls) and _by_kernel(model, model_state, at):
         return kernel_model_state(model, model_state, controls, at, area.codes)
     ground = area.terrain(at.offset, at.wheels, 1)
     for after in _stepped(model, model_state, controls, ground, at):
@@ -124,7 +124,7 @@ def model_state_after(
 
 def costs_from(model: Dynamics, model_state: ModelState, area: Area, at: Situation, weights: CostWeights) -> CostOf:
     """Return a function that computes the costs of control sequences from a model state."""
-    if _by_kernel(model, model_state):
+    if _by_kernel(model, model_state, at):
         return fused_costs(model, model_state, at, weights, area.codes)
     return driving_costs(model, model_state, at, weights, area.encode)
 
@@ -138,7 +138,7 @@ def predicted(
     weights: CostWeights,
 ) -> Float[np.ndarray, "T 6"]:
     """Predict the states of a plan in the world frame."""
-    if _by_kernel(model, model_state):
+    if _by_kernel(model, model_state, at):
         rolled = fused_rollout(model, model_state, controls[None], at, weights, area.codes)[1][0]
     else:
         ground = area.terrain(at.offset, at.wheels, 1)
@@ -158,5 +158,6 @@ def _stepped(
         yield model_state
 
 
-def _by_kernel(model: Dynamics, model_state: ModelState) -> bool:
-    return supports(model, model_state.state.device, model_state.state.dtype)
+def _by_kernel(model: Dynamics, model_state: ModelState, at: Situation) -> bool:
+    state = model_state.state
+    return supports(model, state.device, state.dtype) and supports_costs(at.costs.table)

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from offpiste.core.errors import PlanningError
 from offpiste.dynamics.base import Dynamics
 from offpiste.logs.measurements import Cloud, Image
-from offpiste.native.compilation import single_threaded_torch
+from offpiste.native.threads import single_threaded_torch
 from offpiste.planning.course import Course, CourseTracker
 from offpiste.runtime.estimator import Intake, VehicleReading, VehicleTrack
 from offpiste.runtime.follower import Applied, Follower

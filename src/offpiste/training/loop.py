@@ -20,7 +20,7 @@ from offpiste.core.files import write_text
 from offpiste.core.progress import track
 from offpiste.dataset.feature_sets import Draw
 from offpiste.dataset.windows import Batch, Windows
-from offpiste.native.compilation import single_threaded_torch
+from offpiste.native.threads import single_threaded_torch
 from offpiste.training.batches import batches_of, draw_sets
 from offpiste.training.checkpoint import load_checkpoint, load_tensors, load_weights, save_checkpoint, save_tensors
 from offpiste.training.config import TrainConfig

@@ -11,7 +11,7 @@ from offpiste.core.state import RecordedTerrain
 from offpiste.dynamics import Hybrid, rollout
 from offpiste.dynamics.header.networks import packed_parameters
 from offpiste.dynamics.header.step_text import step_text
-from offpiste.dynamics.kernels.model_arrays import to_kernel_state
+from offpiste.dynamics.kernels.model_state import to_kernel_state
 
 LANES = 16
 TOP = """

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from dynamics.kernels.test_rollout import same_for_threads
 from offpiste.dynamics.feature_encoder import Compressor, Identity
-from offpiste.dynamics.kernels.encoder import CELLS, CHUNK, codes_under_wheels, encode_cells, supports_encoder
+from offpiste.dynamics.kernels.encoder import CELLS, codes_under_wheels, encode_cells, supports_encoder
 
 TOLERANCE = 2e-5
 """Of the largest value of each tensor."""
@@ -47,7 +47,7 @@ def run(encoder: Compressor, values: Tensor, valid: Tensor, *, eager: bool) -> t
 
 @pytest.mark.parametrize(
     ("count", "features", "size"),
-    [(1, 8, 4), (CELLS, 40, 4), (CELLS + 1, 5, 1), (300, 2, 3), (CHUNK * CELLS + 70, 40, 16)],
+    [(1, 8, 4), (CELLS, 40, 4), (CELLS + 1, 5, 1), (300, 2, 3), (2 * CELLS + 70, 40, 16)],
 )
 def test_kernels_agree_with_the_eager_layers(count: int, features: int, size: int) -> None:
     encoder, (values, valid) = example(features, size), cells(count, features)
@@ -66,7 +66,7 @@ def test_missing_features_and_those_beyond_the_first_are_not_read() -> None:
 
 
 def test_numbers_do_not_depend_on_gradients_and_threads() -> None:
-    encoder, (values, valid) = example().float(), cells(5 * CHUNK * CELLS, 8)
+    encoder, (values, valid) = example().float(), cells(5 * CELLS, 8)
     found, gradients = run(encoder, values, valid, eager=False)
     with torch.no_grad():
         assert torch.equal(encode_cells(encoder, values, valid), found)

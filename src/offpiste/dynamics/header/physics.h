@@ -1,4 +1,4 @@
-/* One step without its networks, and one unit of an LSTM. Written by `python -m offpiste.dynamics.kernels.generate`; do not edit.
+/* One step without its networks, the actuators' part of it alone, and one unit of an LSTM. Written by `python -m offpiste.dynamics.kernels.generate`; do not edit.
    w: rows of one sample's workspace, c: constants. Rows that are computed are overwritten. */
 
 OFFPISTE_FN void offpiste_sense(offpiste_real* w, const offpiste_scalar* c) {
@@ -138,6 +138,42 @@ OFFPISTE_FN void offpiste_advance(offpiste_real* w, const offpiste_scalar* c) {
     w[42] = (brake + 0.02f*brake_lags*(brake_residual + brake_apply*maximum_6 - brake_release*maximum_7));
     w[43] = (steer + steer_rate*t8);
     w[44] = (steer_rate + t8*(steer_residual + steer_frequency*(steer_frequency*(steer_offset - steer + steer_command*steer_gain) + (-2.0f)*steer_damping*steer_rate)));
+    w[45] = (engine_rpm + 0.02f*engine_lags*engine_rate*(engine_idle - engine_rpm + engine_speed*maximum_2 + engine_throttle*throttle + engine_both*maximum_2*throttle));
+}
+
+OFFPISTE_FN void offpiste_actuate(offpiste_real* w, const offpiste_scalar* c) {
+    const offpiste_scalar brake_apply = c[24];
+    const offpiste_scalar brake_release = c[25];
+    const offpiste_scalar steer_gain = c[26];
+    const offpiste_scalar steer_offset = c[27];
+    const offpiste_scalar steer_frequency = c[28];
+    const offpiste_scalar steer_damping = c[29];
+    const offpiste_scalar engine_rate = c[30];
+    const offpiste_scalar engine_idle = c[31];
+    const offpiste_scalar engine_throttle = c[32];
+    const offpiste_scalar engine_speed = c[33];
+    const offpiste_scalar engine_both = c[34];
+    const offpiste_scalar brake_lags = c[38];
+    const offpiste_scalar steer_lags = c[39];
+    const offpiste_scalar engine_lags = c[40];
+    const offpiste_real vx = w[3];
+    const offpiste_real brake = w[6];
+    const offpiste_real steer = w[7];
+    const offpiste_real steer_rate = w[8];
+    const offpiste_real engine_rpm = w[9];
+    const offpiste_real throttle = w[10];
+    const offpiste_real brake_command = w[11];
+    const offpiste_real steer_command = w[12];
+    const offpiste_real brake_residual = w[28];
+    const offpiste_real steer_residual = w[32];
+    OFFPISTE_TERM t0 = (brake - brake_command);
+    OFFPISTE_TERM maximum_0 = offpiste_maximum(-t0, 0.0f);
+    OFFPISTE_TERM maximum_1 = offpiste_maximum(t0, 0.0f);
+    OFFPISTE_TERM t1 = 0.02f*steer_lags;
+    OFFPISTE_TERM maximum_2 = offpiste_maximum(vx, -vx);
+    w[42] = (brake + 0.02f*brake_lags*(brake_residual + brake_apply*maximum_0 - brake_release*maximum_1));
+    w[43] = (steer + steer_rate*t1);
+    w[44] = (steer_rate + t1*(steer_residual + steer_frequency*(steer_frequency*(steer_offset - steer + steer_command*steer_gain) + (-2.0f)*steer_damping*steer_rate)));
     w[45] = (engine_rpm + 0.02f*engine_lags*engine_rate*(engine_idle - engine_rpm + engine_speed*maximum_2 + engine_throttle*throttle + engine_both*maximum_2*throttle));
 }
 

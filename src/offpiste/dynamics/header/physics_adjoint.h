@@ -269,6 +269,72 @@ OFFPISTE_FN void offpiste_advance_adjoint(const offpiste_real* w, const offpiste
     c_bar[23] += (-next_vx_bar*t28*(t24*t8 - sin_3*t11) - next_vy_bar*t28*(force_lateral_rear + lateral_rear_correction + cos_4*t11 + sin_3*t8));
 }
 
+OFFPISTE_FN void offpiste_actuate_adjoint(const offpiste_real* w, const offpiste_scalar* c, offpiste_real* w_bar, offpiste_real* c_bar) {
+    const offpiste_scalar brake_apply = c[24];
+    const offpiste_scalar brake_release = c[25];
+    const offpiste_scalar steer_gain = c[26];
+    const offpiste_scalar steer_offset = c[27];
+    const offpiste_scalar steer_frequency = c[28];
+    const offpiste_scalar steer_damping = c[29];
+    const offpiste_scalar engine_rate = c[30];
+    const offpiste_scalar engine_idle = c[31];
+    const offpiste_scalar engine_throttle = c[32];
+    const offpiste_scalar engine_speed = c[33];
+    const offpiste_scalar engine_both = c[34];
+    const offpiste_scalar brake_lags = c[38];
+    const offpiste_scalar steer_lags = c[39];
+    const offpiste_scalar engine_lags = c[40];
+    const offpiste_real vx = w[3];
+    const offpiste_real brake = w[6];
+    const offpiste_real steer = w[7];
+    const offpiste_real steer_rate = w[8];
+    const offpiste_real engine_rpm = w[9];
+    const offpiste_real throttle = w[10];
+    const offpiste_real brake_command = w[11];
+    const offpiste_real steer_command = w[12];
+    const offpiste_real next_brake_bar = w_bar[42];
+    const offpiste_real next_steer_bar = w_bar[43];
+    const offpiste_real next_steer_rate_bar = w_bar[44];
+    const offpiste_real next_engine_rpm_bar = w_bar[45];
+    OFFPISTE_TERM t7 = 0.02f*brake_lags*next_brake_bar;
+    OFFPISTE_TERM maximum_0_bar = brake_apply*t7;
+    OFFPISTE_TERM maximum_1_bar = -brake_release*t7;
+    OFFPISTE_TERM t0 = (brake - brake_command);
+    OFFPISTE_TERM step_5 = offpiste_above(t0, 0.0f);
+    OFFPISTE_TERM t1 = -t0;
+    OFFPISTE_TERM step_7 = offpiste_above(t1, 0.0f);
+    OFFPISTE_TERM t8 = 0.02f*steer_lags;
+    OFFPISTE_TERM t9 = next_steer_rate_bar*t8;
+    OFFPISTE_TERM t10 = t9*(steer_frequency*steer_frequency);
+    OFFPISTE_TERM t11 = 0.04f*steer_frequency*steer_lags;
+    OFFPISTE_TERM t4 = 0.02f*engine_lags;
+    OFFPISTE_TERM t5 = engine_rate*t4;
+    OFFPISTE_TERM maximum_0 = offpiste_maximum(t1, 0.0f);
+    OFFPISTE_TERM maximum_1 = offpiste_maximum(t0, 0.0f);
+    OFFPISTE_TERM t2 = -vx;
+    OFFPISTE_TERM maximum_2 = offpiste_maximum(vx, t2);
+    OFFPISTE_TERM t3 = engine_both*throttle;
+    OFFPISTE_TERM t6 = next_engine_rpm_bar*t5;
+    OFFPISTE_TERM t12 = t6*throttle;
+    w_bar[6] += (next_brake_bar + maximum_1_bar*step_5 - maximum_0_bar*step_7);
+    w_bar[7] += (next_steer_bar - t10);
+    w_bar[8] += (next_steer_bar*t8 + next_steer_rate_bar*(1.0f - steer_damping*t11));
+    w_bar[9] += next_engine_rpm_bar*(1.0f - t5);
+    w_bar[28] += t7;
+    w_bar[32] += t9;
+    c_bar[0] += maximum_0*t7;
+    c_bar[1] += -maximum_1*t7;
+    c_bar[2] += steer_command*t10;
+    c_bar[3] += t10;
+    c_bar[4] += t9*((-2.0f)*steer_damping*steer_rate + 2.0f*steer_frequency*(steer_offset - steer + steer_command*steer_gain));
+    c_bar[5] += -next_steer_rate_bar*steer_rate*t11;
+    c_bar[6] += next_engine_rpm_bar*t4*(engine_idle - engine_rpm + engine_speed*maximum_2 + engine_throttle*throttle + maximum_2*t3);
+    c_bar[7] += t6;
+    c_bar[8] += t12;
+    c_bar[9] += maximum_2*t6;
+    c_bar[10] += maximum_2*t12;
+}
+
 OFFPISTE_FN void offpiste_cell_adjoint(const offpiste_real* w, offpiste_real* w_bar) {
     const offpiste_real input_gate = w[0];
     const offpiste_real forget_gate = w[1];

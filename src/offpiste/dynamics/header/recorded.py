@@ -11,7 +11,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
-from torch.nn.functional import pad
 
 from offpiste.core.conventions import STATE
 from offpiste.core.state import ModelState, Terrain, Trajectory
@@ -20,13 +19,12 @@ from offpiste.dynamics.header.networks import packed_parameters
 from offpiste.dynamics.header.step_text import shipped_text, step_text
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.autograd import check_shapes, read_codes
-from offpiste.dynamics.kernels.model_arrays import (
+from offpiste.dynamics.kernels.model_state import to_kernel_state
+from offpiste.dynamics.kernels.networks import (
     compensator_inputs,
-    compensator_weights,
-    kernel_parts,
     learned_constants,
+    model_networks,
     terms_of_codes,
-    to_kernel_state,
 )
 from offpiste.native.cuda_kernels import Kernels
 
@@ -69,7 +67,6 @@ def rollout_by_kernels(
         ValueError: shapes, types or devices that the kernels cannot take.
         DatasetError: there is neither a steering angle nor a steering command.
     """
-    parts, _ = kernel_parts(dynamics)
     latent = read_codes(dynamics, terrain)
     check_shapes(dynamics, model_state, controls, terrain, latent)
     params = packed_parameters(dynamics, apart=True)
@@ -80,7 +77,7 @@ def rollout_by_kernels(
     columns = [controls.detach(), terrain.normal.detach().mean(dim=-2), unknown, terms.detach()]
     rows = torch.cat(columns, dim=-1).permute(1, 2, 0).contiguous()
     start = to_kernel_state(model_state)
-    matrices = compensator_weights(dynamics, apart=True) if parts.compensator is not None else ()
+    matrices = next((of.weights for of in model_networks(dynamics, apart=True) if of.name == "force"), ())
     tensors = (start, learned_constants(dynamics), terms, *matrices)
     differentiate = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
     inputs = len(compensator_inputs(dynamics.vehicle))
@@ -112,7 +109,8 @@ class _Recorded(torch.autograd.Function):
         seed = torch.cat(bars, dim=-1).permute(1, 2, 0).contiguous()
         learned, terms, *matrices = ctx.shapes
         start, constants = tape.new_empty(tape.shape[1:]), tape.new_empty(learned[0], batch)
-        kinds = (given.inputs, matrices[1][0], GATES + matrices[1][0], matrices[2][0]) if matrices else (0, 0, 0, 0)
+        width = matrices[1][1] if matrices else 0
+        kinds = (given.inputs, width, GATES + width, matrices[2][1]) if matrices else (0, 0, 0, 0)
         kept = tape.new_empty(steps, sum(kinds), batch)
         given.kernels.launch(
             "offpiste_backward", batch, given.params, given.rows, tape, seed, start, constants, kept, steps
@@ -120,27 +118,19 @@ class _Recorded(torch.autograd.Function):
         inputs, layer, terms_bar, outer = kept.split(kinds, dim=1)
         adjoints = [start.t(), constants.sum(dim=1), terms_bar.permute(2, 0, 1) if terms[-1] else None]
         if matrices:
-            adjoints += _matrix_adjoints(matrices, tape, inputs, layer, terms_bar, outer)
+            adjoints += _matrix_adjoints(tape, inputs, layer, terms_bar, outer)
         wanted = ctx.needs_input_grad[1:]
         return None, *(one if want else None for one, want in zip(adjoints, wanted, strict=True))
 
 
-def _matrix_adjoints(
-    shapes: list[torch.Size], tape: Tensor, inputs: Tensor, layer: Tensor, terms: Tensor, outer: Tensor
-) -> list[Tensor]:
-    """Adjoints of the first network's matrices (`kernels.network.Weights`), padding included."""
+def _matrix_adjoints(tape: Tensor, inputs: Tensor, layer: Tensor, terms: Tensor, outer: Tensor) -> list[Tensor]:
+    """Return the adjoints of the first network's matrices (`kernels.networks.Weights`)."""
     hidden = slice(MOVED, MOVED + layout.HIDDEN)
     one = torch.ones_like(inputs[:, :1])
-    on_gates = torch.cat((tape[:-1, hidden], inputs, one), dim=1)
-    on_inner = torch.cat((inputs, one), dim=1)
-    width, columns = shapes[1]
-    on_inner = torch.cat(
-        (pad(on_inner, (0, 0, 0, columns - layout.HIDDEN - on_inner.shape[1])), tape[1:, hidden]), dim=1
-    )
     pairs = (
-        (terms[:, :GATES], pad(on_gates, (0, 0, 0, shapes[0][1] - on_gates.shape[1]))),
-        (terms[:, GATES:], on_inner),
-        (outer, pad(torch.cat((layer, one), dim=1), (0, 0, 0, shapes[2][1] - width - 1))),
+        (torch.cat((tape[:-1, hidden], inputs, one), dim=1), terms[:, :GATES]),
+        (torch.cat((inputs, one, tape[1:, hidden]), dim=1), terms[:, GATES:]),
+        (torch.cat((layer, one), dim=1), outer),
     )
     # A product for each step, then their sum: as one product, all rows would be copied into another order first.
-    return [torch.matmul(adjoint, value.transpose(1, 2)).sum(dim=0) for adjoint, value in pairs]
+    return [torch.matmul(value, adjoint.transpose(1, 2)).sum(dim=0) for value, adjoint in pairs]

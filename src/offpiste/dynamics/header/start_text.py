@@ -7,26 +7,26 @@ from torch import Tensor, nn
 
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder
-from offpiste.dynamics.header.networks import PrintedNetwork, printed_networks, sized
+from offpiste.dynamics.header.networks import network_text, sized
 from offpiste.dynamics.header.step_text import MOVED, inputs_text, shipped_text
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.coverage import uncovered_encoder
-from offpiste.dynamics.kernels.model_arrays import units
+from offpiste.dynamics.kernels.networks import ModelNetwork, model_networks, units
 
 
 def start_text(dynamics: Dynamics) -> str:
     """C code of `offpiste_start`, behind `step_text`."""
-    networks = printed_networks(dynamics)
+    networks = model_networks(dynamics)
     parts = []
     for of in networks:
         sizes = {"SPAN": of.compensator.init_cell.hidden_size, "BREADTH": _layers(of)[0].out_features}
-        parts.append(of.text(sized(shipped_text("start.h"), sizes)))
+        parts.append(network_text(of, sized(shipped_text("start.h"), sizes)))
     return "\n".join((*parts, _start(dynamics, networks)))
 
 
 def start_members(dynamics: Dynamics) -> dict[str, dict[str, Tensor]]:
     """Numbers of `offpiste_start_params` by network and name, in order."""
-    return {of.name: _members(of) for of in printed_networks(dynamics)}
+    return {of.name: _members(of) for of in model_networks(dynamics)}
 
 
 def encoder_text(encoder: FeatureEncoder) -> str:
@@ -56,7 +56,7 @@ def _linear(layers: nn.Module) -> list[nn.Linear]:
     return [layer for layer in layers.children() if isinstance(layer, nn.Linear)]
 
 
-def _layers(of: PrintedNetwork) -> list[nn.Linear]:
+def _layers(of: ModelNetwork) -> list[nn.Linear]:
     return _linear(of.compensator.init_output)
 
 
@@ -64,7 +64,7 @@ def _with_bias(layer: nn.Linear) -> Tensor:
     return torch.cat((layer.weight.t(), layer.bias[None]))
 
 
-def _members(of: PrintedNetwork) -> dict[str, Tensor]:
+def _members(of: ModelNetwork) -> dict[str, Tensor]:
     weights, (first, last) = of.compensator.init_cell.state_dict(), _layers(of)
     bias = (weights["bias_ih_l0"] + weights["bias_hh_l0"])[None]
     return {
@@ -75,7 +75,7 @@ def _members(of: PrintedNetwork) -> dict[str, Tensor]:
     }
 
 
-def _start(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
+def _start(dynamics: Dynamics, networks: Sequence[ModelNetwork]) -> str:
     count = units(dynamics)
     remember, begin = [], []
     for number, of in enumerate(networks):

@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from importlib.resources import files
 
-from offpiste.core.conventions import ACTUATORS, STATE
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.header.networks import LANE, PrintedNetwork, printed_networks
+from offpiste.dynamics.header.networks import LANE, network_text
 from offpiste.dynamics.kernels import layout
-from offpiste.dynamics.kernels.model_arrays import units
+from offpiste.dynamics.kernels.networks import ModelNetwork, absent_actuators, model_networks, units
 
 LANES = 4
 """Threads that share a step, a unit of each LSTM and a wheel for each: OFFPISTE_LANES in `lanes.h`."""
@@ -32,21 +31,21 @@ def step_text(dynamics: Dynamics, *, adjoint: bool = False, apart: bool = False,
     Raises:
         ValueError: kernels cannot step the model.
     """
-    networks = printed_networks(dynamics, apart=apart)
+    networks = model_networks(dynamics, apart=apart)
     assert not lanes or layout.HIDDEN == LANES, "a lane has one unit of an LSTM"
     parts = [shipped_text(name) for name in ("elementary.h", *(["lanes.h"] if lanes else []), "physics.h")]
-    parts += [network.text(shipped_text("network_lanes.h" if lanes else "network.h")) for network in networks]
+    parts += [network_text(network, shipped_text("network_lanes.h" if lanes else "network.h")) for network in networks]
     parts += [_declarations(dynamics, networks, apart), _see(dynamics), _step(dynamics, networks)]
     parts += [_arranged(networks)] if lanes else []
     if adjoint:
         parts += [shipped_text("physics_adjoint.h")]
-        parts += [network.text(shipped_text("network_adjoint.h")) for network in networks]
+        parts += [network_text(network, shipped_text("network_adjoint.h")) for network in networks]
         parts += [_adjoint(dynamics, networks)]
     guard = "OFFPISTE_STEP_H"
     return f"#ifndef {guard}\n#define {guard}\n\n" + "\n".join(parts) + f"\n#endif /* {guard} */\n"
 
 
-def _arranged(networks: Sequence[PrintedNetwork]) -> str:
+def _arranged(networks: Sequence[ModelNetwork]) -> str:
     """What puts weights in the order in which lanes read them."""
     gates = [f"p->{of.name}.gates" for of in networks]
     body = [f"    offpiste_by_unit({name}[0], sizeof({name}) / sizeof({name}[0]), first, apart);" for name in gates]
@@ -56,11 +55,11 @@ def _arranged(networks: Sequence[PrintedNetwork]) -> str:
 
 def term_count(dynamics: Dynamics) -> int:
     """Numbers that `terms_of_codes` adds."""
-    first = next((network for network in printed_networks(dynamics) if network.name == "force"), None)
+    first = next((network for network in model_networks(dynamics) if network.name == "force"), None)
     return 4 * layout.HIDDEN + first.width if first and dynamics.codes else 0
 
 
-def _declarations(dynamics: Dynamics, networks: Sequence[PrintedNetwork], apart: bool) -> str:
+def _declarations(dynamics: Dynamics, networks: Sequence[ModelNetwork], apart: bool) -> str:
     count, codes = units(dynamics), 0 if apart else 4 * dynamics.codes
     sizes = {
         "STATE": MOVED + 2 * count,
@@ -70,7 +69,7 @@ def _declarations(dynamics: Dynamics, networks: Sequence[PrintedNetwork], apart:
         "TERMS": term_count(dynamics) if apart else 0,
         "CONSTANTS": len(layout.LEARNED),
         "ROWS": len(layout.ROWS),
-        "ABSENT": sum(1 << row for row in absent_actuators(dynamics)),
+        "ABSENT": sum(1 << row for row in absent_actuators(dynamics.vehicle)),
     }
     for network in networks[:1]:
         if network.name == "force":
@@ -112,7 +111,7 @@ def _read(row: int) -> str:
 def _see(dynamics: Dynamics) -> str:
     """What networks and physics read, from a state and what is given."""
     vehicle = dynamics.vehicle
-    absent = absent_actuators(dynamics)
+    absent = absent_actuators(dynamics.vehicle)
     body = [f"w[{row}] = {'zero' if row in absent else f'state[{row}]'};" for row in range(MOVED)]
     for name, row, stands in zip(layout.COMMANDS, layout.CONTROLS, layout.ABSENT, strict=True):
         if name in vehicle.control:
@@ -130,18 +129,13 @@ def _see(dynamics: Dynamics) -> str:
     return "\n    ".join((head, *zero, *body)) + "\n}\n"
 
 
-def absent_actuators(dynamics: Dynamics) -> list[int]:
-    """Numbers of the state that no log gave."""
-    return [len(STATE) + i for i, name in enumerate(ACTUATORS) if name not in dynamics.vehicle.actuators]
-
-
-def inputs_text(of: PrintedNetwork) -> str:
+def inputs_text(of: ModelNetwork) -> str:
     """Line that gathers what a network sees."""
     return f"const offpiste_real {of.name}_inputs[] = {{{', '.join(map(_read, of.inputs))}}};"
 
 
-def _step(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
-    count, absent = units(dynamics), absent_actuators(dynamics)
+def _step(dynamics: Dynamics, networks: Sequence[ModelNetwork]) -> str:
+    count, absent = units(dynamics), absent_actuators(dynamics.vehicle)
     corrected = {row for of in networks for row in range(of.first_output, of.first_output + of.outputs)}
     left = [name for name in (*layout.CORRECTION, *layout.RESIDUALS) if layout.ROW[name] not in corrected]
     body = ["const offpiste_real zero = {0.0f};"] if left else []
@@ -176,7 +170,7 @@ def _step(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
     )
 
 
-def _adjoint(dynamics: Dynamics, networks: Sequence[PrintedNetwork]) -> str:
+def _adjoint(dynamics: Dynamics, networks: Sequence[ModelNetwork]) -> str:
     count, first_code = units(dynamics), len(layout.ROWS)
     lines = [
         "/* bar->codes: adjoint of the codes; of each network, see its adjoints. */",

@@ -1,13 +1,8 @@
-"""Rollouts over recorded terrain by kernels, with gradients: what training calls instead of `dynamics.rollout`.
+"""Rollouts over recorded terrain by the compiled library, with gradients: what training calls instead of `rollout`."""
 
-The first call compiles for some 20 seconds; the machine code is kept in the user's cache folder
-(`offpiste.native.kernel_cache`).
-"""
-
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -16,23 +11,13 @@ from torch.autograd.function import once_differentiable
 from offpiste.core.conventions import ACTUATORS, STATE
 from offpiste.core.state import ModelState, Terrain, Trajectory
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.coverage import uncovered, warn_of_eager_steps
-from offpiste.dynamics.kernels.lanes import unpack
-from offpiste.dynamics.kernels.model_arrays import (
-    Given,
-    compensator_weights,
-    constants,
-    learned_constants,
-    networks,
-    record,
-    terms_of_codes,
-    to_kernel_state,
-)
+from offpiste.dynamics.kernels.model_state import to_kernel_state
+from offpiste.dynamics.kernels.networks import learned_constants, model_networks
 from offpiste.dynamics.kernels.parity import APART, largest_difference
-from offpiste.dynamics.kernels.rollout import backward, forward
+from offpiste.dynamics.kernels.structures import Learning, Model, Record, model_of
 from offpiste.dynamics.torch_physics import drive_train
-from offpiste.native.compilation import spread_kernel
+from offpiste.native.library import CHUNK, MISSING, Arrays, address, call, library
 
 _agrees: WeakKeyDictionary[Dynamics, bool] = WeakKeyDictionary()
 """Whether the kernels agree with each model that was compared with them in this process."""
@@ -46,10 +31,13 @@ def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> bo
     """
     if device.type != "cpu" or dtype != torch.float32 or not has_kernels(dynamics):
         return False
+    if library() is None:
+        warn_of_eager_steps(type(dynamics).__name__, MISSING)
+        return False
     if any(p.device.type != "cpu" or p.dtype != dtype for p in dynamics.parameters()):
         return False
     if dynamics not in _agrees:
-        apart = largest_difference(dynamics, _recorded, device, gradients=False, batch=layout.LANES + 1, steps=4)
+        apart = largest_difference(dynamics, _recorded, device, gradients=False, batch=CHUNK + 1, steps=4)
         _agrees[dynamics] = apart < APART
     if not _agrees[dynamics]:
         warn_of_eager_steps(type(dynamics).__name__, "they compute something else than its `stepper`")
@@ -95,56 +83,70 @@ def _recorded(
 ) -> Trajectory:
     latent = read_codes(dynamics, terrain)
     check_shapes(dynamics, model_state, controls, terrain, latent)
-    start, learned = to_kernel_state(model_state), learned_constants(dynamics)
-    terms, matrices = terms_of_codes(dynamics, latent.flatten(-2)), compensator_weights(dynamics, apart=True)
-    tensors = (start, learned, terms, *matrices)
+    start, networks = to_kernel_state(model_state), model_networks(dynamics)
+    force = next((of for of in networks if of.name == "force"), None)
     given = Given(
-        start=start.detach().contiguous().numpy(),
-        record=record(dynamics.vehicle, controls, terrain, terms),
-        constants=constants(dynamics, learned),
-        networks=networks(dynamics, matrices, apart=True),
-        differentiate=torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors),
+        model_of(dynamics, networks), {"controls": controls, "normals": terrain.normal, "known": terrain.known}
     )
-    return Trajectory(*_Rollout.apply(given, *tensors))  # type: ignore[no-untyped-call]
+    matrices = () if force is None else force.weights
+    results = Rollout.apply(given, start, learned_constants(dynamics), latent.flatten(-2), *matrices)  # type: ignore[no-untyped-call]
+    return Trajectory(*results)
 
 
-class _Rollout(torch.autograd.Function):
-    """The kernels as one operation of autograd."""
+class Given(NamedTuple):
+    """What a rollout is given and has no gradients for; fields: those of `Record` by name."""
+
+    model: Model
+    fields: dict[str, Tensor]
+
+
+class Rollout(torch.autograd.Function):
+    """Entries `forward` and `backward` of the library as one operation of autograd.
+
+    Gradients are those of the start, of the constants that learn, of the codes and of three matrices for each network,
+    from the model's first one on.
+    """
 
     @staticmethod
-    def forward(ctx: Any, given: Given, *tensors: Tensor) -> tuple[Tensor, Tensor]:
-        """States [B, T, 6] and actuators [B, T, A]; `tensors`, which `given` was made of, tie them to the graph."""
-        batch, (blocks, steps, _) = len(given.start), given.record.rows.shape
-        slots = steps + 1 if given.differentiate else 2
-        tape = np.empty((blocks, slots, given.start.shape[1] * layout.LANES), np.float32)
-        states, actuators = (torch.empty(batch, steps, n, dtype=torch.float32) for n in (len(STATE), len(ACTUATORS)))
-        spread_kernel(blocks, forward, *given[:4], tape, states.numpy(), actuators.numpy())
-        ctx.given, ctx.tape = given, tape
+    def forward(
+        ctx: Any, given: Given, start: Tensor, learned: Tensor, codes: Tensor, *matrices: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return states [B, T, 6] and actuators [B, T, A]; `learned` and `matrices` only tie the model to the graph."""
+        model, controls = given.model, given.fields["controls"]
+        batch, steps = controls.shape[:2]
+        record, arrays = Record(batch=batch, steps=steps), Arrays()
+        for name, values in (given.fields | {"start": start, "codes": codes}).items():
+            setattr(record, name, arrays.bytes(values) if values.dtype == torch.bool else arrays.floats(values))
+        states = start.new_empty(batch, steps, 0 if model.lags_only else len(STATE))
+        actuators = start.new_empty(batch, steps, len(ACTUATORS))
+        chunks, size = -(-batch // CHUNK), start.shape[1]
+        # Blocks of any width fit into whole chunks.
+        tape = start.new_empty(chunks * CHUNK * (steps + 1) * size) if any(ctx.needs_input_grad) else None
+        call("forward", chunks, model, record, tape, None if model.lags_only else states, actuators)
+        ctx.model, ctx.record, ctx.kept = model, record, (arrays, tape)
+        ctx.shapes = [tensor.shape for tensor in (start, learned, codes, *matrices)]
         return states, actuators
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *bars: Tensor) -> tuple[Tensor | None, ...]:
-        """Adjoints of `tensors`."""
-        given, tape = ctx.given, ctx.tape
-        *_, terms_wanted, gates_wanted, inner_wanted, outer_wanted = ctx.needs_input_grad
-        matrices_wanted = gates_wanted, inner_wanted, outer_wanted
-        start, count = np.empty_like(given.start), given.networks[0].terms
-        in_lanes = np.empty((*given.record.rows.shape[:2], count * layout.LANES), np.float32)
-        # By block, so that sums do not depend on the number of threads.
-        main = given.networks[0]
-        shapes = [
-            m.shape if w else (0, 0) for m, w in zip((main.gates, main.inner, main.outer), matrices_wanted, strict=True)
+    def backward(ctx: Any, states_bar: Tensor, actuators_bar: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the adjoints of the start, the constants, the codes and the matrices."""
+        model, record, (_, tape) = ctx.model, ctx.record, ctx.kept
+        _, _, codes_wanted, *wanted = ctx.needs_input_grad[1:]
+        chunks = -(-record.batch // CHUNK)
+        # By chunk, so that sums do not depend on the number of threads.
+        start, codes = (torch.empty(shape) for shape in (ctx.shapes[0], ctx.shapes[2]))
+        learned = torch.empty(chunks, *ctx.shapes[1])
+        matrices = [
+            torch.empty(chunks, *shape) if want else None for shape, want in zip(ctx.shapes[3:], wanted, strict=True)
         ]
-        by_block = [np.zeros((len(tape), *shape), np.float32) for shape in ((len(layout.LEARNED),), *shapes)]
-        seeds = (bar.contiguous().numpy() for bar in bars)
-        spread_kernel(len(tape), backward, *given[1:4], tape, *seeds, start, in_lanes, *by_block)
-        terms = np.empty((len(start), in_lanes.shape[1], count), np.float32)
-        if terms_wanted:
-            spread_kernel(len(tape), unpack, in_lanes, terms)
-        learned, *matrices = (blocks.sum(axis=0) for blocks in by_block)
-        adjoints = zip((start, learned, terms, *matrices), ctx.needs_input_grad[1:], strict=True)
-        return None, *(torch.from_numpy(adjoint) if wanted else None for adjoint, wanted in adjoints)
+        learning = Learning()
+        for k, matrix in enumerate(matrices):
+            getattr(learning, Learning._fields_[k % 3][0])[k // 3] = address(matrix)
+        seeds = None if model.lags_only else states_bar.contiguous(), actuators_bar.contiguous()
+        call("backward", chunks, model, record, tape, *seeds, start, codes if codes_wanted else None, learned, learning)
+        sums = (None if matrix is None else matrix.sum(dim=0) for matrix in matrices)
+        return None, start, learned.sum(dim=0), codes if codes_wanted else None, *sums
 
 
 def read_codes(dynamics: Dynamics, terrain: Terrain) -> Float[Tensor, "B T 4 n"]:

@@ -1,9 +1,6 @@
-"""Where the kernels keep what they compute: rows of one block's workspace, and the vector of constants.
+"""Where compiled code keeps what it computes: rows of a sample's workspace, and the vector of constants.
 
-A block is `LANES` windows that run side by side. Its workspace is a flat float32 array of rows of `LANES` numbers (row
-r is `workspace[r * LANES : (r + 1) * LANES]`), so that every quantity of the step lies in memory as one vector, and the
-rows that generated code touches lie at distances that the compiler knows. The adjoint of row r is row r of a second
-array.
+The adjoint of row r is row r of a second workspace.
 """
 
 from typing import Final
@@ -12,9 +9,6 @@ from offpiste.core.channels import KERNEL_CONTROLS
 from offpiste.core.conventions import ACTUATORS, STATE
 from offpiste.dynamics.actuator_lags import lagging
 from offpiste.dynamics.bicycle import Constants, DriveTrain, Force
-
-LANES: Final = 32
-"""Windows in a block: two AVX-512 vectors."""
 
 HIDDEN: Final = 4
 """Hidden units of every compensator that the kernels step."""
@@ -89,6 +83,6 @@ LEARNED: Final = Constants._fields
 """The constants with gradients: the first of `CONSTANTS`."""
 
 CELL_ROWS: Final = ("input_gate", "forget_gate", "cell_gate", "output_gate", "memory", "next_hidden", "next_memory")
-"""Rows of an LSTM cell's own workspace, each `HIDDEN * LANES` long: unit after unit."""
+"""Rows of the workspace of one unit of an LSTM."""
 
 CELL_ROW: Final = {name: row for row, name in enumerate(CELL_ROWS)}

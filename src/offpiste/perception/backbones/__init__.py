@@ -19,7 +19,7 @@ from torch import Tensor
 
 from offpiste.core.errors import PerceptionError
 from offpiste.core.registry import Registry
-from offpiste.native.compilation import single_threaded_torch
+from offpiste.native.threads import single_threaded_torch
 from offpiste.perception.patch_grid import PatchGrid
 
 DINOV2_SMALL: Final = "facebook/dinov2-small"  # DINOv2 ViT-S/14, the paper's backbone and the default

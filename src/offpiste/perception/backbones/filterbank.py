@@ -14,7 +14,7 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 from torch.nn import functional
 
-from offpiste.native.compilation import single_threaded_torch
+from offpiste.native.threads import single_threaded_torch
 from offpiste.perception.backbones import BACKBONES, Backbone
 from offpiste.perception.filter_responses import PRODUCTS, TAPS, Derivatives, patch_means
 

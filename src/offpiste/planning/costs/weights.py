@@ -1,10 +1,16 @@
 """Weights and parameters of the cost terms by name."""
 
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from offpiste.core.conventions import DT, GRAVITY
 from offpiste.core.errors import PlanningError
-from offpiste.planning.costs.declaration import Number, Parameter, cost_terms
+from offpiste.planning.costs.declaration import CONSTANTS, Number, Parameter, cost_terms
 
 
 @dataclass(frozen=True, init=False, repr=False, eq=False)
@@ -50,6 +56,16 @@ class CostWeights:
         """Return all numbers by name."""
         return {name: number.default for name, number in declared_numbers().items()} | self.changed
 
+    def vector(self) -> Float[Tensor, " N"]:
+        """Return constants, weights and parameters as compiled code reads them (`places_of_numbers`)."""
+        return torch.tensor([DT, GRAVITY, *(x for value in self.values().values() for x in _each(value))])
+
+
+def places_of_numbers() -> dict[str, int]:
+    """Return the places of constants, weights and parameters in the vector of numbers, by name."""
+    sizes = dict.fromkeys(CONSTANTS, 1) | {name: len(_each(one.default)) for name, one in declared_numbers().items()}
+    return dict(zip(sizes, accumulate(sizes.values(), initial=0), strict=False))
+
 
 def declared_numbers() -> dict[str, Parameter]:
     """Return weights and parameters of all cost terms by name.
@@ -68,3 +84,7 @@ def declared_numbers() -> dict[str, Parameter]:
 
 def _size(value: Number) -> int:
     return len(value) if isinstance(value, tuple) else 0
+
+
+def _each(value: Number) -> tuple[float, ...]:
+    return value if isinstance(value, tuple) else (value,)

@@ -13,17 +13,15 @@ from offpiste.core.state import ModelState
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import LANE, packed_parameters
 from offpiste.dynamics.kernels.layout import COMMANDS
-from offpiste.dynamics.kernels.model_arrays import to_kernel_state
+from offpiste.dynamics.kernels.model_state import to_kernel_state
 from offpiste.mapping.terrain_sampler import MapStack
 from offpiste.native.cuda_kernels import Kernels
-from offpiste.planning.caution import Caution
-from offpiste.planning.costs.declaration import CONSTANTS, cost_terms
+from offpiste.planning.caution import Caution, spread_weights
 from offpiste.planning.costs.layers import CostMap
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
 from offpiste.planning.kernel import Codes
-from offpiste.planning.kernel_costs import places_of_numbers, vector_of_numbers
-from offpiste.planning.kernel_stray import GIVEN, MOVING, stray_weights
+from offpiste.uncertainty.spread import MOTION
 
 Maps = tuple[Tensor, Tensor, Tensor]
 """Slopes, codes and layers of cells for `offpiste_roll_out`."""
@@ -71,7 +69,6 @@ def packed_situation(
 ) -> Float[Tensor, " N"]:
     """Return the numbers of `offpiste_situation` in order, on the CPU."""
     missing = codes[1].cpu()
-    names = tuple(places_of_numbers(cost_terms().values()))[len(CONSTANTS) :]
     parts = (
         missing,
         np.zeros(-len(missing) % LANE),
@@ -81,7 +78,7 @@ def packed_situation(
         [situation.gear],
         situation.control.cpu(),
         [0.0 if math.isnan(value) else value for value in situation.costs.outside],
-        vector_of_numbers(weights, names),
+        weights.vector(),
         to_kernel_state(model_state)[0].cpu(),
         packed_stray(dynamics, situation.caution),
     )
@@ -92,12 +89,12 @@ def packed_stray(dynamics: Dynamics, caution: Caution | None) -> Float[np.ndarra
     """Return the numbers of `offpiste_stray_weights` in order; none without caution."""
     if caution is None:
         return np.empty(0)
-    vehicle, codes = dynamics.vehicle, dynamics.codes
-    of = stray_weights(caution, vehicle, codes)
-    commands = (MOVING + COMMANDS.index(name) for name in vehicle.control_columns)
-    read = [*range(MOVING), *commands, *range(GIVEN, GIVEN + codes)]
-    parts = of.inner[:, read], of.bias, of.outer[:2], of.outer_bias, of.start, np.array([of.reach])
-    return np.concatenate([part.ravel() for part in parts])
+    vehicle, before = dynamics.vehicle, len(MOTION)
+    of = spread_weights(caution, vehicle)
+    commands = (before + COMMANDS.index(name) for name in vehicle.control_columns)
+    read = [*range(before), *commands, *range(before + len(COMMANDS), len(of.inner))]
+    parts = of.inner[read].t(), of.bias, of.outer.t(), of.outer_bias, of.start, np.array([of.reach])
+    return np.concatenate([np.ravel(part) for part in parts])
 
 
 def packed_maps(situation: Situation, codes: Codes, device: torch.device) -> Maps:

@@ -1,7 +1,7 @@
 import pytest
 
 from offpiste.core.errors import PlanningError
-from offpiste.planning.header.c_expression import CExpression, called, traced
+from offpiste.planning.costs.c_expression import CExpression, called, traced
 
 
 def test_arithmetic_becomes_c():

@@ -1,0 +1,44 @@
+"""Builds the compiled libraries (`src/offpiste/native/cpp`); without a C++ compiler the installation does without."""
+
+import os
+import platform
+from pathlib import Path
+
+from setuptools import Extension, setup
+from setuptools.command.bdist_wheel import bdist_wheel
+from setuptools.command.build_ext import build_ext
+
+SOURCES = Path("src/offpiste/native/cpp")
+HEADERS = [str(path) for path in Path("src/offpiste").glob("**/*.h")]
+FLAGS = ["-O3", "-std=c++17", "-fvisibility=hidden", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"]
+SETS = ("avx512", "avx2", "baseline") if platform.machine() in ("x86_64", "AMD64") else ("baseline",)
+
+
+class Build(build_ext):
+    """Compiles the libraries side by side."""
+
+    def finalize_options(self) -> None:
+        super().finalize_options()
+        self.parallel = self.parallel or os.cpu_count()
+
+
+class AnyPython(bdist_wheel):
+    """A wheel for every Python: the libraries are loaded by ctypes and know no Python."""
+
+    def get_tag(self) -> tuple[str, str, str]:
+        return "py3", "none", super().get_tag()[2]
+
+
+def library(name: str) -> Extension:
+    """The library for one instruction set."""
+    source = str(SOURCES / f"{name}.cpp")
+    return Extension(
+        f"offpiste.native._{name}",
+        [source],
+        depends=HEADERS,
+        extra_compile_args=FLAGS,
+        optional=True,
+    )
+
+
+setup(ext_modules=[library(name) for name in SETS], cmdclass={"build_ext": Build, "bdist_wheel": AnyPython})

@@ -1,0 +1,71 @@
+"""Planning code with cost terms that do not ship, compiled on first use and kept in the user's cache folder."""
+
+import ctypes
+import hashlib
+import logging
+import os
+import shutil
+import subprocess
+import tempfile
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Final
+
+from offpiste.core.cache import cache_folder
+from offpiste.native.library import instruction_set, library
+
+logger = logging.getLogger(__name__)
+
+FLAGS: Final = ("-O3", "-std=c++17", "-shared", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-w")
+
+LONGEST: Final = 300.0
+"""Longest time for a compilation [s]."""
+
+
+@cache
+def planning_library(costs: str) -> ctypes.CDLL | None:
+    """Return the library whose plans have these costs; None where there is no C++ compiler.
+
+    Args:
+        costs: C code of the terms (`planning.costs.text.terms_text`).
+    """
+    if costs == source_text("costs.h"):
+        return library()
+    key = hashlib.sha256("\0".join((costs, instruction_set(), *map(source_text, _sources()))).encode()).hexdigest()
+    path = cache_folder() / "costs" / f"{key[:32]}.so"
+    if not path.exists() and not _compile(costs, path):
+        return None
+    return ctypes.CDLL(str(path))
+
+
+def source_text(name: str) -> str:
+    """Return the text of a source file of the library."""
+    return files("offpiste.native").joinpath("cpp", name).read_text("utf-8")
+
+
+def _sources() -> list[str]:
+    return sorted(file.name for file in files("offpiste.native").joinpath("cpp").iterdir())
+
+
+def _compile(costs: str, path: Path) -> bool:
+    compiler = next(filter(None, map(shutil.which, (os.environ.get("CXX", ""), "c++", "g++", "clang++"))), None)
+    if compiler is None:
+        logger.warning("without a C++ compiler plans with added cost terms are computed eagerly, 20 times slower")
+        return False
+    logger.info("compiling the added cost terms once, about 10 s")
+    name, here = instruction_set(), Path(str(files("offpiste.native").joinpath("cpp")))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        terms, built = Path(folder, "costs.h"), Path(folder, "plan.so")
+        terms.write_text(costs)
+        defined = (f'-DOFFPISTE_COSTS="{terms}"', "-DOFFPISTE_PLAN_ONLY")
+        command = [compiler, *FLAGS, *defined, str(here / f"{name}.cpp"), "-o", str(built)]
+        try:
+            subprocess.run(command, check=True, capture_output=True, text=True, timeout=LONGEST)
+        except (OSError, subprocess.SubprocessError) as error:
+            reason = (getattr(error, "stderr", "") or str(error)).strip().splitlines()
+            logger.warning(f"added cost terms do not compile and are computed eagerly, 20 times slower: {reason[:1]}")
+            return False
+        built.replace(path)  # at once, as another process may do the same
+    return True
