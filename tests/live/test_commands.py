@@ -133,7 +133,7 @@ def test_a_recording_that_cannot_be_written_is_refused(tmp_path, capsys, name, o
 
 
 def test_a_viewer_that_cannot_show_anything_is_refused(tmp_path, capsys):
-    assert "no viewer 'rerunn'; did you mean 'rerun'?" in line(tmp_path, capsys, "--view", "rerunn")
+    assert "no viewer 'foxglov'; did you mean 'foxglove'?" in line(tmp_path, capsys, "--view", "foxglov")
     assert "would show nothing; give --view, too" in line(tmp_path, capsys, "--view-at", "drive.rrd")
     (there := tmp_path / "there.rrd").write_bytes(b"")
     assert "already exists" in line(tmp_path, capsys, "--view", "rerun", "--view-at", there)

@@ -102,9 +102,9 @@ class Live:
     record_seconds: float = float("inf")
     """Duration after which recording continues in a new, numbered file [s]."""
     view: str = ""
-    """Viewer of the drive: rerun (needs the extra `view`)."""
+    """Viewer of the drive: foxglove or rerun (needs the extra `view`)."""
     view_at: str = ""
-    """HOST:PORT at which the viewer listens, by default on the loopback; or a file to write (.rrd)."""
+    """HOST:PORT at which the viewer listens, by default on the loopback; for rerun also a file to write (.rrd)."""
     robot: Annotated[RobotOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=RobotOptions)
 
     def run(self) -> int:
