@@ -15,7 +15,7 @@ Y, X = np.mgrid[:16, :24]
 SCENE = np.stack((40 + 6 * X, 200 - 5 * X, 90 + 8 * Y), axis=-1).astype(np.uint8)
 """Colours that change evenly, so that interpolation between pixels is exact."""
 GREY = np.repeat((40 + 6 * X + 2 * Y).astype(np.uint8)[..., None], 3, axis=2)
-YUV = ("uyvy", "yuv422", "yuyv", "yuv422_yuy2", "nv12")
+YUV = ("uyvy", "yuv422", "yuyv", "yuv422_yuy2", "nv12", "nv21")
 CODECS = ("jpeg", "jpg", "png", "tiff", "webp", "bmp")
 ORDERS = {"8UC1": "r", "8UC3": "bgr", "16UC3": "bgr", "8UC4": "bgra", "16UC4": "bgra", "mono8": "r", "mono16": "r"}
 """Orders of colours in encodings that do not name them."""
@@ -50,8 +50,9 @@ def as_yuv(name: str, rgb: np.ndarray) -> np.ndarray:
     """By BT.601, in 16 to 235; columns, or columns and rows, share the colour of the first."""
     matrix = np.array([[65.738, 129.057, 25.064], [-37.945, -74.494, 112.439], [112.439, -94.154, -18.285]]) / 256
     y, u, v = np.moveaxis(np.round(rgb @ matrix.T + [16, 128, 128]).astype(np.uint8), -1, 0)
-    if name == "nv12":
-        return np.concatenate((y, np.stack((u[::2, ::2], v[::2, ::2]), axis=-1).reshape(8, 24)))[..., None]
+    if name in ("nv12", "nv21"):
+        pair = (u[::2, ::2], v[::2, ::2]) if name == "nv12" else (v[::2, ::2], u[::2, ::2])
+        return np.concatenate((y, np.stack(pair, axis=-1).reshape(8, 24)))[..., None]
     colour = np.where(X % 2 == 0, u, np.roll(v, 1, axis=1))
     return np.stack((colour, y) if name in ("uyvy", "yuv422") else (y, colour), axis=-1)
 

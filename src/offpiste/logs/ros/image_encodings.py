@@ -46,6 +46,7 @@ PICTURES: Final = {
     "yuyv": _YUYV,
     "yuv422_yuy2": _YUYV,
     "nv12": Encoding(8, 1, cv2.COLOR_YUV2RGB_NV12, rows=3),
+    "nv21": Encoding(8, 1, cv2.COLOR_YUV2RGB_NV21, rows=3),
     # OpenCV's types are BGR. 16UC1 is depth (REP 118), not grey.
     "8UC1": Encoding(8, *_LAYOUTS["mono"]),
     **{f"{depth}UC3": Encoding(depth, *_LAYOUTS["bgr"]) for depth in (8, 16)},
