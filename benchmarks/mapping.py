@@ -69,7 +69,7 @@ def mapping(channels: int, threads: int, scans: int) -> None:
     assert layers is not None
     layers = flattener.layers(layers)
     about = f"{layers.observed.mean():.0%} of the cells observed, {layers.known.mean():.0%} known"
-    print(f"\n{channels} features, {len(points)} points; {held.occupied} voxels, {about}, {held.nbytes / 1e6:.0f} MB")
+    print(f"\n{channels} features, {len(points)} points; {held.occupied} voxels, {about}")
     print(summary("insert", inserting[2:]))
     print(summary("flatten 600 x 600", flattening[2:]))
     both = [a + b for a, b in zip(inserting, flattening, strict=True)][2:]

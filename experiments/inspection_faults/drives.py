@@ -119,7 +119,7 @@ def _simulated(seed: int) -> TrueDrive:
 
 def _true_drive(samples: list[VehicleSample], behaviour: str, vehicle: VehicleParameters) -> TrueDrive:
     columns = [field.name for field in fields(TrueDrive) if field.name in vars(samples[0])]
-    values = {name: np.array([getattr(sample, name) for sample in samples]) for name in columns}
+    values: dict[str, Any] = {name: np.array([getattr(sample, name) for sample in samples]) for name in columns}
     values["command"] = np.array([sample.command[:3] for sample in samples])
     body = {name: getattr(vehicle, name) for name in ("mass", "wheelbase", "track", "max_steer")}
     return TrueDrive(behaviour, **body, **values)

@@ -177,7 +177,7 @@ def probe_rows(train: Pooled, test: Pooled, worlds: str) -> list[dict[str, Any]]
             if ridge is not None:
                 predicted = ridge.predict(INPUTS[name](test.cells, number)[chosen])
                 found, interval = r2(target_of(test, target)[chosen], predicted, drawn)
-                about = {"worlds": worlds, "target": target, "trained": trained, "input": name}
+                about: dict[str, object] = {"worlds": worlds, "target": target, "trained": trained, "input": name}
                 about |= {"feature_set": feature_set, "penalty": ridge.penalty, "n": int(chosen.sum())}
                 rows.append({**about, "r2": found, "r2_ci95": interval})
     return rows

@@ -106,8 +106,11 @@ def stack_cells(cells: Sequence[CellList], resolution: float, *, device: torch.d
         return torch.from_numpy(np.concatenate([*parts, nothing])).to(device)
 
     origin = torch.as_tensor(np.stack([c.origin for c in cells]), dtype=torch.float64)
-    grids = (each.to(device) for each in (origin, last_cells([c.shape for c in cells]), torch.from_numpy(place)))
-    return CellStack(resolution, *grids, listed([c.rise for c in cells]), listed([c.features for c in cells]))
+    last = last_cells([c.shape for c in cells])
+    origin, last, where = (each.to(device) for each in (origin, last, torch.from_numpy(place)))
+    return CellStack(
+        resolution, origin, last, where, listed([c.rise for c in cells]), listed([c.features for c in cells])
+    )
 
 
 @dataclass(frozen=True)
@@ -193,7 +196,7 @@ class SnapshotWriter:
     def close(self) -> None:
         """Write the index of the snapshots."""
         for name, (dtype, shape) in _INDEX.items():
-            values = np.array(self._index[name], dtype).reshape(shape)
+            values: np.ndarray = np.array(self._index[name], dtype).reshape(shape)
             self._group.create_array(name, data=values, compressors=Crc32cCodec(), config={"write_empty_chunks": True})
 
 

@@ -99,7 +99,7 @@ def write_about(run: Run, folder: Path, **more: Any) -> dict[str, Any]:
         "pca": run.pca,
         "step": DT,
         "state": list(layout.STEPPED),
-        "absent_actuators": [layout.STEPPED[row] for row in absent_actuators(dynamics)],
+        "absent_actuators": [layout.STEPPED[row] for row in absent_actuators(dynamics.vehicle)],
         "recurrent_units": units(dynamics),
         "controls": list(dynamics.vehicle.control_columns),
         "wheels": list(WHEELS),

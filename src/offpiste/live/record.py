@@ -61,6 +61,7 @@ class Recording:
         self._definition = cache(types.definition)
         self._newest: dict[tuple[str, ...], Received] = {}
         self.messages, self._looked = 0, -np.inf
+        self._began: int | None = None  # first stamp in the file [ns]
         self._open()
 
     def add(self, received: Received) -> None:
@@ -97,7 +98,7 @@ class Recording:
     def _open(self) -> None:
         self._writer = McapWriter(unused_path(self._settings.path))
         self.path = self._writer.path
-        self._began: int | None = None  # first stamp in the file [ns]
+        self._began = None
 
     def _next(self) -> None:
         self.close()

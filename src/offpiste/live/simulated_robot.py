@@ -132,7 +132,9 @@ class SimulatedRobot:
         self._parameters, self._imperfections = load_vehicle(vehicle or None), Imperfections(pose_noise)
         self.commands, self._rng = RemoteCommands(), np.random.default_rng([seed, 3])
         publisher = cache(transport.publisher)
-        self._publish = lambda topic, message: publisher(topic, message.__msgtype__)(message)
+        self._publish: Callable[[str, Any], None] = lambda topic, message: publisher(topic, message.__msgtype__)(
+            message
+        )
         transport.subscribe(self._command_topic, self._commanded, msgtype="sensor_msgs/msg/Joy")
         suite = sensor_suite(sensors)
         self._sensing = Sensing(world, suite, np.random.default_rng([seed, 2]))

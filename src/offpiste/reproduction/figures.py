@@ -32,7 +32,7 @@ def fig3(results: FigureResults, stored: int) -> dict[str, Figure]:
         "b": ("Compression size n", {f"C {n}": model.label for n, model in compression_sizes(stored).items()}),
         "c": ("Number of features", {f"C {n}": model.label for n, model in feature_numbers(stored).items()}),
     }
-    figures = {}
+    figures: dict[str, Figure] = {}
     for reading, where, name in ((HINDSIGHT, "recorded, hindsight", ""), (MAP, "map at predicted places", " map")):
         if reading in results.readings:
             groups = {}

@@ -100,7 +100,7 @@ def _reached(drive: StoredDrive, passes: Passes | None, cells: Cells) -> np.ndar
 
 def tables(coverage: FeatureCoverage) -> tuple[TextTable, ...]:
     """Return all tables in reading order."""
-    shares = {
+    shares: dict[str, Sequence[float] | Rates] = {
         f"all ({coverage.cells} cells)": coverage.share,
         "  of those valid in hindsight": coverage.of_hindsight,
         "  of those within reach": coverage.in_reach,

@@ -36,7 +36,7 @@ def points_from_message(message: Any) -> np.ndarray:
         kinds.append((kind, (field.count,)) if field.count > 1 else kind)  # old drivers write a count of 0 for 1
     try:
         offsets = [field.offset for field in fields.values()]
-        layout = {"names": list(fields), "formats": kinds, "offsets": offsets, "itemsize": message.point_step}
+        layout: Any = {"names": list(fields), "formats": kinds, "offsets": offsets, "itemsize": message.point_step}
         point = np.dtype(layout)
         data = np.frombuffer(message.data, dtype=np.uint8)
         shape, strides = (message.height, message.width), (message.row_step, message.point_step)

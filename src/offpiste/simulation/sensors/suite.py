@@ -38,7 +38,8 @@ class SensorSuite:
     @property
     def mountings(self) -> dict[str, Pose]:
         """`body_from_sensor` by name."""
-        return {sensor.name: sensor.body_from_sensor for sensor in (*self.cameras, *self.lidars)}
+        sensors: tuple[CameraSettings | LidarSettings, ...] = (*self.cameras, *self.lidars)
+        return {sensor.name: sensor.body_from_sensor for sensor in sensors}
 
 
 def full_suite() -> SensorSuite:
@@ -126,7 +127,7 @@ class Sensing:
         self._appearance = make_appearance(world, self._scene, light_seed) if suite.cameras else None
         self._lidars = [Lidar(settings) for settings in suite.lidars]
         self._cameras = [Camera(settings) for settings in suite.cameras]
-        sensors = (*self._lidars, *self._cameras)
+        sensors: tuple[Lidar | Camera, ...] = (*self._lidars, *self._cameras)
         rngs = rng.spawn(len(sensors)) if apart else [rng] * len(sensors)
         self._rngs = dict(zip((sensor.settings.name for sensor in sensors), rngs, strict=True))
         turns = [_period(lidar) for lidar in self._lidars]
@@ -158,7 +159,8 @@ class Sensing:
     def pass_by(self, sample: VehicleSample) -> int:
         """Skip the measurements of a sample, and return their number."""
         self._past.append(sample)
-        return sum(round(sample.time / DT) % _period(sensor) == 0 for sensor in (*self._cameras, *self._lidars))
+        sensors: tuple[Lidar | Camera, ...] = (*self._cameras, *self._lidars)
+        return sum(round(sample.time / DT) % _period(sensor) == 0 for sensor in sensors)
 
     def _image(self, camera: Camera, pose: Pose, seed: int, stamp: int) -> Messages:
         s = camera.settings
