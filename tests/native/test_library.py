@@ -83,10 +83,11 @@ def test_what_is_not_contiguous_is_refused():
         library.address(np.zeros((3, 4)).T)
 
 
-@pytest.mark.parametrize("missing", [True, False], ids=["no compiler", "code that does not compile"])
-def test_added_costs_that_cannot_be_compiled_are_left_to_torch(missing, tmp_path, monkeypatch, caplog):
-    monkeypatch.setenv("OFFPISTE_CACHE", str(tmp_path))
-    if missing:
+@pytest.mark.parametrize("what", ["no compiler", "code that does not compile", "no place for it"])
+def test_added_costs_that_cannot_be_compiled_are_left_to_torch(what, tmp_path, monkeypatch, caplog):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("OFFPISTE_CACHE", str(tmp_path / "file" if what == "no place for it" else tmp_path))
+    if what == "no compiler":
         monkeypatch.setattr("shutil.which", lambda name: None)
     compiler.planning_library.cache_clear()
     assert compiler.planning_library(shipped_terms_text() + "nonsense") is None

@@ -34,9 +34,14 @@ def planning_library(costs: str) -> ctypes.CDLL | None:
         return library()
     key = hashlib.sha256("\0".join((costs, instruction_set(), *map(source_text, _sources()))).encode()).hexdigest()
     path = cache_folder() / "costs" / f"{key[:32]}.so"
-    if not path.exists() and not _compile(costs, path):
+    try:
+        if not path.exists():
+            _compile(costs, path)
+        return ctypes.CDLL(str(path))
+    except (OSError, subprocess.SubprocessError) as error:
+        reason = (getattr(error, "stderr", "") or str(error)).strip().splitlines()[:1]
+        logger.warning(f"added cost terms cannot be compiled; plans are computed eagerly, 20 times slower: {reason}")
         return None
-    return ctypes.CDLL(str(path))
 
 
 def source_text(name: str) -> str:
@@ -48,24 +53,17 @@ def _sources() -> list[str]:
     return sorted(file.name for file in files("offpiste.native").joinpath("cpp").iterdir())
 
 
-def _compile(costs: str, path: Path) -> bool:
+def _compile(costs: str, path: Path) -> None:
     compiler = next(filter(None, map(shutil.which, (os.environ.get("CXX", ""), "c++", "g++", "clang++"))), None)
     if compiler is None:
-        logger.warning("without a C++ compiler plans with added cost terms are computed eagerly, 20 times slower")
-        return False
+        raise OSError("no C++ compiler; install g++")
     logger.info("compiling the added cost terms once, about 10 s")
-    name, here = instruction_set(), Path(str(files("offpiste.native").joinpath("cpp")))
+    source = Path(str(files("offpiste.native").joinpath("cpp", f"{instruction_set()}.cpp")))
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         terms, built = Path(folder, "costs.h"), Path(folder, "plan.so")
         terms.write_text(costs)
         defined = (f'-DOFFPISTE_COSTS="{terms}"', "-DOFFPISTE_PLAN_ONLY")
-        command = [compiler, *FLAGS, *defined, str(here / f"{name}.cpp"), "-o", str(built)]
-        try:
-            subprocess.run(command, check=True, capture_output=True, text=True, timeout=LONGEST)
-        except (OSError, subprocess.SubprocessError) as error:
-            reason = (getattr(error, "stderr", "") or str(error)).strip().splitlines()
-            logger.warning(f"added cost terms do not compile and are computed eagerly, 20 times slower: {reason[:1]}")
-            return False
+        command = [compiler, *FLAGS, *defined, str(source), "-o", str(built)]
+        subprocess.run(command, check=True, capture_output=True, text=True, timeout=LONGEST)
         built.replace(path)  # at once, as another process may do the same
-    return True
