@@ -44,7 +44,7 @@ OFFPISTE_ENTRY(forward)(
 
 OFFPISTE_ENTRY(backward)(
     int first, int last, const Model* model, const Record* record, const float* tape, const float* states_bar,
- const float* actuators_bar, float* start_bar, float* codes_bar, float* constants_bar, const Learning* learning) {
+    const float* actuators_bar, float* start_bar, float* codes_bar, float* constants_bar, const Learning* learning) {
     roll_backward(
         first, last, *model, *record, tape, states_bar, actuators_bar, start_bar, codes_bar, constants_bar, *learning);
 }
@@ -55,7 +55,7 @@ OFFPISTE_ENTRY(encode)(int first, int last, const Encoder* encoder, const Cells*
 
 OFFPISTE_ENTRY(encode_back)(
     int first, int last, const Encoder* encoder, const Cells* cells, const float* codes_bar, float* first_bar,
- float* second_bar, float* last_bar) {
+    float* second_bar, float* last_bar) {
     encode_cells_back(first, last, *encoder, *cells, codes_bar, first_bar, second_bar, last_bar);
 }
 
