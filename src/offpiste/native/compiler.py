@@ -32,7 +32,7 @@ def planning_library(costs: str) -> ctypes.CDLL | None:
     """
     if costs == source_text("costs.h"):
         return library()
-    key = hashlib.sha256("\0".join((costs, instruction_set(), *map(source_text, _sources()))).encode()).hexdigest()
+    key = hashlib.sha256("\0".join((costs, instruction_set(), *_included())).encode()).hexdigest()
     path = cache_folder() / "costs" / f"{key[:32]}.so"
     try:
         if not path.exists():
@@ -49,8 +49,10 @@ def source_text(name: str) -> str:
     return files("offpiste.native").joinpath("cpp", name).read_text("utf-8")
 
 
-def _sources() -> list[str]:
-    return sorted(file.name for file in files("offpiste.native").joinpath("cpp").iterdir())
+def _included() -> list[str]:
+    folders = (files("offpiste").joinpath(folder) for folder in ("native/cpp", "dynamics/header"))
+    sources = (file for folder in folders for file in folder.iterdir() if file.name.endswith((".h", ".cpp")))
+    return [file.read_text("utf-8") for file in sorted(sources, key=str)]
 
 
 def _compile(costs: str, path: Path) -> None:
