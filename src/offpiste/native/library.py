@@ -17,6 +17,9 @@ logger = logging.getLogger(__name__)
 MISSING: Final = "offpiste was installed without a C++ compiler; install g++, then offpiste again"
 """Reason and remedy where there is no library."""
 
+SETS: Final = ("avx512", "avx2", "baseline")
+"""Instruction sets that the library is compiled for, the best first."""
+
 CHUNK: Final = 32
 """Samples whose sums are computed together (`native/cpp/recorded.h`)."""
 
@@ -29,13 +32,14 @@ def library() -> ctypes.CDLL | None:
 
 @cache
 def instruction_set() -> str:
-    """Return the best one that this processor has: "avx512", "avx2" or "baseline"; "" without libraries."""
+    """Return the best one that processor and installation have: "avx512", "avx2" or "baseline"; "" for none."""
     baseline = _loaded("baseline")
     if baseline is None:
         return ""
     name = baseline.offpiste_instruction_set
     name.restype = ctypes.c_char_p
-    return str(name().decode())
+    known = SETS[SETS.index(name().decode()) :]
+    return next(candidate for candidate in known if _loaded(candidate) is not None)
 
 
 @cache
