@@ -39,7 +39,9 @@ def rollout_actuators(
     if not supports_actuators(actuators, controls.device, controls.dtype):
         raise ValueError("no kernels for these actuators; see `supports_actuators`")
     lags, networks = actuators.flat_constants(), residual_networks(actuators)
-    given = Given(lags_of(actuators.vehicle, lags, networks), {"controls": controls, "speed": speed})
+    given = Given(
+        lags_of(actuators.vehicle, lags, networks), {"controls": controls, "speed": speed}, torch.is_grad_enabled()
+    )
     nothing = start.new_zeros(len(start), 6)
     state = torch.cat((nothing, start, *hidden_and_cells(recurrent)), dim=-1)
     matrices = (matrix for of in networks for matrix in of.weights)

@@ -24,7 +24,7 @@ _agrees: WeakKeyDictionary[Dynamics, bool] = WeakKeyDictionary()
 
 
 def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> bool:
-    """Whether `rollout_recorded` can roll this model out, here and in this type.
+    """Return whether `rollout_recorded` can roll this model out, here and in this type.
 
     It can step models that `coverage` knows, on the CPU in float32; where gradients are wanted, only while the
     actuators' models are frozen. Once a process, the kernels are compared with each model on random input.
@@ -45,7 +45,7 @@ def supports(dynamics: Dynamics, device: torch.device, dtype: torch.dtype) -> bo
 
 
 def has_kernels(dynamics: Dynamics) -> bool:
-    """Whether there are kernels for a model, as it is: of its actuators' models they have no gradients."""
+    """Return whether there are kernels for a model, as it is: of its actuators' models they have no gradients."""
     if reason := uncovered(dynamics):
         if dynamics.reads_terrain:  # of baselines that are stepped eagerly by design nobody needs to hear
             warn_of_eager_steps(type(dynamics).__name__, reason)
@@ -85,19 +85,24 @@ def _recorded(
     check_shapes(dynamics, model_state, controls, terrain, latent)
     start, networks = to_kernel_state(model_state), model_networks(dynamics)
     force = next((of for of in networks if of.name == "force"), None)
-    given = Given(
-        model_of(dynamics, networks), {"controls": controls, "normals": terrain.normal, "known": terrain.known}
-    )
+    fields = {"controls": controls, "normals": terrain.normal, "known": terrain.known}
+    given = Given(model_of(dynamics, networks), fields, torch.is_grad_enabled())
     matrices = () if force is None else force.weights
     results = Rollout.apply(given, start, learned_constants(dynamics), latent.flatten(-2), *matrices)  # type: ignore[no-untyped-call]
     return Trajectory(*results)
 
 
 class Given(NamedTuple):
-    """What a rollout is given and has no gradients for; fields: those of `Record` by name."""
+    """What a rollout is given and has no gradients for.
+
+    Attributes:
+        fields: those of `Record` by name.
+        differentiate: whether gradients are recorded, for which the states of every step are kept.
+    """
 
     model: Model
     fields: dict[str, Tensor]
+    differentiate: bool
 
 
 class Rollout(torch.autograd.Function):
@@ -121,7 +126,7 @@ class Rollout(torch.autograd.Function):
         actuators = start.new_empty(batch, steps, len(ACTUATORS))
         chunks, size = -(-batch // CHUNK), start.shape[1]
         # Blocks of any width fit into whole chunks.
-        tape = start.new_empty(chunks * CHUNK * (steps + 1) * size) if any(ctx.needs_input_grad) else None
+        tape = start.new_empty(chunks * CHUNK * (steps + 1) * size) if given.differentiate else None
         call("forward", chunks, model, record, tape, None if model.lags_only else states, actuators)
         ctx.model, ctx.record, ctx.kept = model, record, (arrays, tape)
         ctx.shapes = [tensor.shape for tensor in (start, learned, codes, *matrices)]
@@ -150,7 +155,7 @@ class Rollout(torch.autograd.Function):
 
 
 def read_codes(dynamics: Dynamics, terrain: Terrain) -> Float[Tensor, "B T 4 n"]:
-    """Codes of the terrain that a model reads: none, where it has no encoder."""
+    """Return the codes of the terrain that a model reads; none if it has no encoder."""
     return terrain.latent if dynamics.codes else terrain.latent[..., :0]
 
 
