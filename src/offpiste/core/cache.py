@@ -15,7 +15,11 @@ VARIABLE = "OFFPISTE_CACHE"
 KEPT_DAYS: Final = 30.0
 """Days after their last use at which entries are removed."""
 
-ENTRIES: Final = ("kernels/*_" + 40 * "[0-9a-f]", "datasets/" + 16 * "[0-9a-f]")
+ENTRIES: Final = (
+    "kernels/*_" + 40 * "[0-9a-f]",
+    "costs/" + 32 * "[0-9a-f]" + ".so",
+    "datasets/" + 16 * "[0-9a-f]",  # of older versions
+)
 """Patterns of entries. Other files in the folder are never touched."""
 
 
@@ -38,14 +42,18 @@ def cache_folder(environment: Mapping[str, str] = os.environ, platform: str = sy
 
 
 def forget_unused(folder: Path, *, days: float = KEPT_DAYS) -> list[Path]:
-    """Remove kernels and datasets that were not used for some days, and return their paths.
+    """Remove entries that were not used for some days, and return their paths.
 
     The last use of a folder is the last time that one of its files was read or written.
     """
     oldest = time.time() - 86400 * days
     unused = [entry for names in ENTRIES for entry in folder.glob(names) if _last_used(entry) < oldest]
     for entry in unused:
-        shutil.rmtree(entry, ignore_errors=True)
+        if entry.is_dir():
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                entry.unlink()
     return [entry for entry in unused if not entry.exists()]
 
 

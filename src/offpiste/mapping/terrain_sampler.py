@@ -1,6 +1,6 @@
 """Sampler of terrain maps: nearest cell for features, bilinear slopes for normals (docs/method.md).
 
-Unknown places and places off the map give flat ground and missing features. `planning.kernel_terrain` is the compiled
+Unknown places and places off the map give flat ground and missing features. `native/cpp/ground.h` is the compiled
 twin for planners; both use the cells and wheel positions of `terrain_map`.
 """
 

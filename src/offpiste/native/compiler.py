@@ -39,8 +39,8 @@ def planning_library(costs: str) -> ctypes.CDLL | None:
             _compile(costs, path)
         return ctypes.CDLL(str(path))
     except (OSError, subprocess.SubprocessError) as error:
-        reason = (getattr(error, "stderr", "") or str(error)).strip().splitlines()[:1]
-        logger.warning(f"added cost terms cannot be compiled; plans are computed eagerly, 20 times slower: {reason}")
+        reason = (getattr(error, "stderr", "") or str(error)).strip().partition("\n")[0]
+        logger.warning(f"added cost terms cannot be compiled; plans are computed eagerly, 100 times slower: {reason}")
         return None
 
 

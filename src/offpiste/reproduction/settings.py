@@ -126,11 +126,6 @@ class ReproductionSettings:
         return self.out / "runs"
 
     @property
-    def times(self) -> Path:
-        """File with the duration of each step as lines of JSON."""
-        return self.out / "steps.jsonl"
-
-    @property
     def at_a_time(self) -> int:
         """Number of processes (`parallel.at_a_time`)."""
         return at_a_time(self.processes, self.device)

@@ -1,1 +1,1 @@
-"""The model as one C header for C99, C++, nvcc and NVRTC, printed from the same physics as the Numba kernels."""
+"""The model as one C header for C99, C++, nvcc and NVRTC, printed from the same physics as the compiled library."""

@@ -1,5 +1,5 @@
-/* Elementary functions of one sample, as dynamics/kernels/elementary.py has them: polynomials without branches, so that
-   GPUs need no slow path and no stack. Largest errors are given there; NaN gives NaN, from tanh too.
+/* Elementary functions of one sample: polynomials without branches, so that GPUs need no slow path and no stack. Errors
+   are below 4e-7, of tanh and atan also relative ones, of sin and cos up to 1e4. NaN gives NaN, from tanh too.
 
    C99, C++ (g++, clang), CUDA (nvcc, NVRTC). offpiste_scalar is the type of weights and constants, offpiste_real that
    of one sample; in C++ the latter may be a GNU vector: define OFFPISTE_REAL, the type, offpiste_floor and

@@ -2,7 +2,7 @@
 
 The kernels keep the model state of every step (the tape); backwards they compute each step again and write down the
 rows that the weights' gradients are products of, so that matrix products and no atomic sums make these. What codes
-add is one matrix product before the rollout, as for the Numba kernels.
+add is one matrix product before the rollout.
 """
 
 from typing import Any, NamedTuple

@@ -1,4 +1,4 @@
-/* Terrain and cost map under the wheels of one sample, as planning/kernel_terrain.py reads them. Cells lie row by row;
+/* Terrain and cost map under the wheels of one sample. Cells lie row by row;
    on GPUs the slope of a cell is one load, and so are four codes. */
 
 /* shift: from the frame of the trajectories to cell [0, 0] [m]; scale: cells per metre. */

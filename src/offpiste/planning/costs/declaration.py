@@ -1,9 +1,9 @@
-"""Declaration of cost terms, for the eager planner (torch) and the fused kernel (Numba).
+"""Declaration of cost terms, for the eager planner (torch) and the fused kernel (C).
 
 A term is a function of scalars that returns a cost per second. Its arguments name its inputs: base quantities
 (`MOTION`, `CONTROL`, `CONSTANTS`), derived quantities (`quantity`), layers of the cost map (`costs.layers`), elementary
-functions (`ELEMENTARY`), its `weight`, and parameters. Torch calls the function with tensors; Numba compiles it into
-the kernel. Hence it uses arithmetic only, and no float literals, which would turn float32 lanes into float64.
+functions (`ELEMENTARY`), its `weight`, and parameters. Torch calls the function with tensors; the kernel has it
+as C, traced by `c_expression`. Hence it uses arithmetic, comparisons and the elementary functions only.
 Non-finite inputs must give a non-finite cost, which excludes the trajectory.
 """
 

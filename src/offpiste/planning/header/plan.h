@@ -1,4 +1,4 @@
-/* Rollouts of sampled controls on a map, with their costs: planning/kernel_rollout.py for one sample. */
+/* Rollouts of sampled controls on a map, with their costs. */
 
 /* Everything of a plan but weights, maps and samples, so that a captured graph finds it at one place. missing comes
    first: GPUs load four codes at once. */

@@ -1,4 +1,4 @@
-/* How far errors of position reach along and across the heading: planning/kernel_stray.py for one sample. Lanes that
+/* How far errors of position reach along and across the heading. Lanes that
    share a sample share the hidden units. OFFPISTE_STRAY: how many there are; 0 where plans cost what is predicted. */
 #if OFFPISTE_STRAY
 #define OFFPISTE_STRAY_GIVEN (6 + OFFPISTE_CONTROLS)
