@@ -17,6 +17,7 @@ import torch
 
 from live.synthetic_robot import ACKERMANN, ENABLE, live_settings
 from live.test_part import flat
+from offpiste.live import supervisor
 from offpiste.live.part import STAMP
 from offpiste.live.ring import pack_fields, pack_layers, pack_plan, packed, unpacked
 from offpiste.live.session import DIAGNOSTICS, MAP, PLAN, RecordSettings, new_session
@@ -299,3 +300,11 @@ def test_states_are_sent_to_a_path_and_to_an_abstract_name(tmp_path, monkeypatch
     with listening(f"\0{path}" if abstract else path) as heard:
         notify(READY=1, STATUS="two\nlines")
     assert [state for _, state in heard] == [{"READY": "1", "STATUS": "two lines"}]
+
+
+def test_an_unreachable_service_manager_is_one_warning(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nothing"))
+    supervisor._warn_once.cache_clear()
+    notify(READY=1)
+    notify(WATCHDOG=1)
+    assert caplog.messages == ["the service manager is not notified: No such file or directory ($NOTIFY_SOCKET)"]

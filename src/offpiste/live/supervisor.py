@@ -258,8 +258,16 @@ def notify(**state: object) -> None:
     if address := os.environ.get("NOTIFY_SOCKET", ""):
         address = f"\0{address[1:]}" if address.startswith("@") else address
         lines = "\n".join(f"{name}={' '.join(str(value).split())}" for name, value in state.items())
-        with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sender:
-            sender.sendto(lines.encode(), address)
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sender:
+                sender.sendto(lines.encode(), address)
+        except OSError as error:
+            _warn_once(f"the service manager is not notified: {error.strerror or error} ($NOTIFY_SOCKET)")
+
+
+@cache
+def _warn_once(text: str) -> None:
+    logger.warning(text)
 
 
 def supervise(settings: LiveSettings) -> None:
