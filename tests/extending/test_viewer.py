@@ -13,7 +13,7 @@ from offpiste.runtime.estimator import VehicleReading
 viewer = VIEWERS["pose-table"](sys.argv[1], np.zeros((4, 2)), ())
 place = np.array((3.0, 4.5, 0.0))
 viewer.pose(VehicleReading(1.5, place, np.array((0, 0, 0, 1.0)), np.zeros(3), 0.0, np.zeros(4)))
-viewer.lines("plan", 1.5, [])
+viewer.line("plan", 1.5, None)
 viewer.mode(1.5, "driving", "")
 viewer.close()
 print(viewer.where)

@@ -79,6 +79,8 @@ def test_later_clients_get_the_last_messages_and_a_taken_port_is_one_line(served
     show(viewer)
     _, _, got = received(port, lambda: None, "/course", "/mode", "/vehicle")
     assert got["/course"][0] == 1000.5
+    line = got["/course"][1].entities[0].lines[0]
+    assert (len(line.points), len(line.colors), line.color.b) == (50, 0, pytest.approx(3 / 255))
     assert got["/mode"][1] == {"mode": "stopping", "why": "no plan"}
     assert got["/vehicle"][1].entities[0].cubes[0].size.x == pytest.approx(2.06)
     assert addresses_of(port) == {LOOPBACK}

@@ -40,9 +40,13 @@ def test_a_recording_holds_the_drive(tmp_path):
     assert found["/world/vehicle"]["robot"] == [1000_500_000_000]
     assert found["/world/vehicle"]["Transform3D:translation"] == [[[0.0, 0.0, 0.0]]], "relative to the first place"
     plan = found["/world/plan"]["LineStrips3D:strips"][0]
-    assert len(plan) == 49 + 4, "the pieces of the path and of a region"
+    assert len(plan) == 49
     assert plan[1] == [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
     assert len(set(found["/world/plan"]["LineStrips3D:colors"][0])) > 40, "colours of speed"
+    course = found["/world/course"]
+    assert [len(strip) for strip in course["LineStrips3D:strips"][0]] == [50], "one strip of one colour"
+    assert course["LineStrips3D:colors"] == [[0x010203FF]]
+    assert course["LineStrips3D:radii"] == [[pytest.approx(0.06)]]
     np.testing.assert_allclose(np.array(found["/world/map"]["Points3D:positions"][0])[:, 0], np.arange(50))
     assert found["/events"]["TextLog:text"] == [["stopping: no plan"]]
     assert found["/mode/mode"]["Scalars:scalars"] == [[1.0]]

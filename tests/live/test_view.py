@@ -41,7 +41,7 @@ class Notes(Viewer):
         self.given.append((name, given))
 
     pose = partialmethod(_note, "pose")
-    lines = partialmethod(_note, "lines")
+    line = partialmethod(_note, "line")
     ground = partialmethod(_note, "ground")
     image = partialmethod(_note, "image")
     mode = partialmethod(_note, "mode")
@@ -53,7 +53,7 @@ class Notes(Viewer):
 
 def lines_of(notes, name):
     """Times and lines of the calls for the course or the plan."""
-    return [(at, lines) for kind, at, lines in notes.of("lines") if kind == name]
+    return [(at, line) for kind, at, line in notes.of("line") if kind == name]
 
 
 def reading(now, x=1.0):
@@ -93,11 +93,11 @@ def test_each_element_of_a_drive_is_shown_on_the_ground(tmp_path):
         feed(part.session, now)
         shown.update()
     assert notes.of("pose")[0][0].position[0] == 1.0
-    course = lines_of(notes, "course")[-1][1][0].places
+    course = lines_of(notes, "course")[-1][1].places
     on_map = course[:, 0] <= 20
     np.testing.assert_allclose(course[on_map, 2], 0.5 * course[on_map, 0] + LIFT, atol=0.26)
     np.testing.assert_allclose(course[~on_map, 2], 2.0 + LIFT, err_msg="off the map: the vehicle's height")
-    ((_, (plan,)),) = lines_of(notes, "plan")
+    ((_, plan),) = lines_of(notes, "plan")
     assert plan.places.shape == (50, 3)
     np.testing.assert_allclose(plan.places[:, 0], 1.04 + 0.2 * np.arange(50))
     assert len(np.unique(plan.colours, axis=0)) == 1, "of one speed"

@@ -68,7 +68,7 @@ class Showing:
         if course is not None:
             self._course = from_fields(Course, course)
         if self._course is not None and (mapped or course):
-            self._viewer.lines("course", now, [self._line(self._course.driven, (255, 255, 255), 0.12)])
+            self._viewer.line("course", now, self._line(self._course.driven, (255, 255, 255), 0.12))
         if (values := self._newest("plans")) is not None and "start" in values:
             self._show_plan(*plan_from(values))
         if self._is_due("images"):
@@ -98,7 +98,7 @@ class Showing:
         states = prediction.state[::_EVERY]
         speed = np.hypot(states[:, 3], states[:, 4])
         colours = (255 * colormaps["plasma"](np.clip(speed / _FASTEST, 0, 1))[:, :3]).astype(np.uint8)
-        self._viewer.lines("plan", plan.start, [self._line(states[:, :2], colours, 0.16)])
+        self._viewer.line("plan", plan.start, self._line(states[:, :2], colours, 0.16))
 
     def _line(self, xy: Float[np.ndarray, "P 2"], colour: Any, width: float) -> Line:
         """Return a line above the ground; where that is unknown, above the vehicle's height."""

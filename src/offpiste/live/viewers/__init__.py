@@ -1,7 +1,7 @@
 """Viewers of a drive for `offpiste live --view NAME`, one module each."""
 
 import socket
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, ClassVar, Final, NamedTuple
 
 import cv2
@@ -27,6 +27,11 @@ class Line(NamedTuple):
     places: Float[np.ndarray, "P 3"]
     colours: UInt8[np.ndarray, "P 3"]
     width: float
+
+    @property
+    def has_one_colour(self) -> bool:
+        """Whether all points have the same colour."""
+        return bool((self.colours == self.colours[:1]).all())
 
 
 class Ground(NamedTuple):
@@ -60,8 +65,8 @@ class Viewer:
     def pose(self, reading: VehicleReading) -> None:
         """Show the vehicle's pose."""
 
-    def lines(self, name: str, time: float, lines: Sequence[Line]) -> None:
-        """Replace the lines of the "course" or the "plan"."""
+    def line(self, name: str, time: float, line: Line) -> None:
+        """Replace the line of the "course" or the "plan"."""
 
     def ground(self, ground: Ground) -> None:
         """Replace the shown map."""

@@ -3,7 +3,7 @@
 Clients cannot publish. Images are encoded only for subscribers. The server drops the oldest messages for a slow client.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, ClassVar, Final, cast
 
 import numpy as np
@@ -67,14 +67,14 @@ class FoxgloveViewer(Viewer):
         pose = self._pose(reading.position, reading.orientation)
         self._log("/pose", reading.time, made.PoseInFrame(timestamp=stamp, frame_id=WORLD, pose=pose))
 
-    def lines(self, name: str, time: float, lines: Sequence[Line]) -> None:
-        """Publish lines that replace the previous ones."""
-        made, drawn = self._made, []
-        for line in lines:
-            points = [_filled(made.Point3, place) for place in line.places]
-            colours = [made.Color(r=r, g=g, b=b, a=1.0) for r, g, b in (line.colours / 255).tolist()]
-            drawn.append(made.LinePrimitive(points=points, thickness=line.width, colors=colours))
-        self._draw(f"/{name}", time, WORLD, lines=drawn)
+    def line(self, name: str, time: float, line: Line) -> None:
+        """Publish a line that replaces the previous one."""
+        made = self._made
+        points = [_filled(made.Point3, place) for place in line.places]
+        shown = line.colours[:1] if line.has_one_colour else line.colours
+        colours = [made.Color(r=r, g=g, b=b, a=1.0) for r, g, b in (shown / 255).tolist()]
+        given = {"color": colours[0]} if line.has_one_colour else {"colors": colours}
+        self._draw(f"/{name}", time, WORLD, lines=[made.LinePrimitive(points=points, thickness=line.width, **given)])
 
     def ground(self, ground: Ground) -> None:
         """Publish the cells as points with the layers' values, relative to the first cell."""

@@ -1,6 +1,6 @@
 """Rerun (rerun-sdk): a server for its viewer, by default on the loopback interface, or a recording file."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -55,15 +55,12 @@ class RerunViewer(Viewer):
         turned = self._rr.Transform3D(translation=place, mat3x3=rotation_of_one(reading.orientation))
         self._log("world/vehicle", reading.time, turned)
 
-    def lines(self, name: str, time: float, lines: Sequence[Line]) -> None:
-        """Log lines that replace the previous ones, each piece with the colour of its first point."""
-        pieces = [np.stack((line.places[:-1], line.places[1:]), axis=1) for line in lines]
-        strips = self._rr.LineStrips3D(
-            [piece.astype(np.float32) for of_line in pieces for piece in self._placed(of_line)],
-            colors=np.concatenate([line.colours[:-1] for line in lines]),
-            radii=np.concatenate([np.full(len(line.places) - 1, line.width / 2) for line in lines]),
-        )
-        self._log(f"world/{name}", time, strips)
+    def line(self, name: str, time: float, line: Line) -> None:
+        """Log a line of one colour, or pieces with the colour of their first point; they replace the previous ones."""
+        places, one = self._placed(line.places).astype(np.float32), line.has_one_colour
+        strips = places[None] if one else np.stack((places[:-1], places[1:]), axis=1)
+        colours = line.colours[:1] if one else line.colours[:-1]
+        self._log(f"world/{name}", time, self._rr.LineStrips3D(strips, colors=colours, radii=line.width / 2))
 
     def ground(self, ground: Ground) -> None:
         """Log known cells as points."""
