@@ -13,7 +13,7 @@ import torch
 from live.synthetic_robot import RIG, rig
 from offpiste.core.errors import LiveError
 from offpiste.live import ring as rings
-from offpiste.live.ring import Ring, from_fields, pack_fields, packed, unpacked
+from offpiste.live.ring import Reader, Ring, from_fields, pack_fields, packed, unpacked
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.course import Course
@@ -43,6 +43,14 @@ def test_the_newest_are_read_by_all_and_a_restarted_writer_continues(ring):
     assert ring.age < 1.0
     assert not ring.write(b"x" * 101), "too large"
     assert ring.written == 10
+
+
+def test_a_reader_that_was_overtaken_counts_lost_messages(ring):
+    reader = Reader(ring)
+    for k in range(9):
+        ring.write(packed({"k": k}))
+    assert (reader.new(), reader.lost, reader.number) == ([{"k": 6}, {"k": 7}, {"k": 8}], 6, 9)
+    assert (reader.new(), reader.lost) == ([], 6)
 
 
 def test_a_damaged_message_is_not_read(ring):

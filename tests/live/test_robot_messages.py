@@ -76,6 +76,16 @@ def test_values_that_are_not_finite_are_dropped_and_old_ones_do_not_count():
     assert vehicle.take("/odom", odometry(2.0, 2.0), NOW).position[0] == 2.0, "the clock went back"
 
 
+@pytest.mark.parametrize("silent", ["hold", "on change"])
+def test_a_command_that_is_published_on_change_stays_valid(silent):
+    text = rig_text("proving_ground").replace('interpolation = "hold"', f'interpolation = "{silent}"')
+    vehicle, sample = VehicleMessages(parse_rig(text, where="test")), samples(0.5)[5]
+    for topic, message in simulated(sample).items():
+        vehicle.take(topic, message, 0.0)
+    given = vehicle.given(sample.time + 30.0).control
+    assert given is None if silent == "hold" else given == pytest.approx(sample.command[:3], abs=1e-6)
+
+
 @pytest.mark.parametrize(("silent", "rate"), [("on change", 0.0), ("linear", np.nan)])
 def test_the_rate_of_a_silent_steering_is_zero_only_if_it_is_published_on_change(silent, rate):
     before, _, behind = rig_text("proving_ground").partition("[channels.steer_rate]")

@@ -6,7 +6,9 @@ import pytest
 from offpiste.core.errors import OffpisteError
 from offpiste.logs import open_log
 from offpiste.logs.measurements import Cloud, Image
+from offpiste.logs.ros.sensor_messages import message_from_points
 from offpiste.logs.sensor_log import open_sensors
+from point_clocks import PointClock
 from sensor_bags import (
     IMAGE,
     POINTS,
@@ -18,6 +20,7 @@ from sensor_bags import (
     raw_image,
     record,
     sensor_rig,
+    stamp,
     transforms,
     tree,
 )
@@ -117,6 +120,16 @@ def test_what_cannot_be_used_is_dropped_and_counted(tmp_path):
             "front: 1 of 4 stamps repeat or go back; those messages were dropped",
             "top: 2 of 3 clouds have no usable point and were dropped",
         )
+
+
+def test_clouds_with_point_times_of_another_clock_are_dropped_and_that_is_said(tmp_path):
+    clock = PointClock("t", "<f8", lambda at, since: at + 5000.0 + since, "s", "epoch")
+    filled = ((at, clock.fill(stamp(at) / 1e9, np.ones((50, 3)))) for at in (0.1, 0.2))
+    clouds = [(at, "/points", message_from_points(points, stamp(at), "lidar")) for at, points in filled]
+    sensors = SENSORS.replace('time_field = "t"\ntime_unit = "ns"\n', clock.rig_lines())
+    log = opened(record(tmp_path / "x.mcap", [*STILL, (0.1, "/image", compressed(0.1, IMAGE)), *clouds]), sensors)
+    assert not list(log.stream(["top"]))
+    assert log.notes == ("top: 2 of 2 clouds have points whose 't' is far from the stamp and were dropped",)
 
 
 @pytest.mark.parametrize("off", [77.0, -77.0])
