@@ -55,7 +55,7 @@ def run_live(settings: LiveSettings, *, replay: Path | None = None, commands: Pa
     if replay is None:
         supervise(settings)
     else:
-        replay_log(settings, rig, planner, reception, replay, commands)
+        replay_log(settings, rig, planner, reception, types, replay, commands)
 
 
 def _refuse_ignored(settings: LiveSettings, replay: Path | None, commands: Path | None) -> None:

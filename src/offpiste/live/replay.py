@@ -19,7 +19,7 @@ from offpiste.live.command_messages import Command
 from offpiste.live.gate import Checked, Gate
 from offpiste.live.play import RecordedDrive
 from offpiste.live.reception import Pressed, Reception, Taken
-from offpiste.live.session import LiveSettings, refuse_unmeasured, sensor_setup_of
+from offpiste.live.session import LiveSettings, sensor_setup_of
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.logs.ros.bag_files import heard_at
 from offpiste.planning.course import Course, CourseTracker
@@ -65,7 +65,6 @@ class StepDriver:
         shadow: bool = True,
         seed: int = 0,
     ) -> None:
-        refuse_unmeasured(planner, rig)
         self._rig, self._planner, self._reception = rig, planner, reception
         self._settings, self._shadow, self._seed = settings or RuntimeSettings(), shadow, seed
         # Shadow mode sends nothing and needs no switch.
@@ -139,12 +138,13 @@ def replayed(drive: RecordedDrive, driver: StepDriver, types: MessageTypes) -> I
 
 
 def replay_log(
-    settings: LiveSettings, rig: Rig, planner: Planner, reception: Reception, log: Path, table: Path | None
-) -> None:
+    settings: LiveSettings, rig: Rig, planner: Planner, reception: Reception, types: MessageTypes, log: Path,
+    table: Path | None,
+) -> None:  # fmt: skip
     """Replay a log, and write all commands to a table (.csv); raises `LiveError` if planning was never possible."""
     driver = StepDriver(rig, planner, reception, settings.runtime, shadow=not settings.drive, seed=settings.seed)
     drive = RecordedDrive(log, rig, tuple(reception.topics))
-    steps = replayed(drive, driver, MessageTypes(rig.live.definitions))
+    steps = replayed(drive, driver, types)
     total, text = round(min(drive.seconds, settings.seconds) / DT), StringIO(newline="")
     rows = csv.writer(text)
     rows.writerow(("time", "throttle", "brake", "steer", "mode", "why"))
