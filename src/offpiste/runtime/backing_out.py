@@ -30,7 +30,7 @@ Hazard = Callable[[Float[np.ndarray, "P 2"]], Float[np.ndarray, " P"]]
 
 @dataclass(frozen=True)
 class BackingOutSettings:
-    """Criteria and manoeuvres for stuck vehicles, as positive numbers."""
+    """Criteria and manoeuvres for stuck vehicles."""
 
     after: float = 3.0  # time without motion of a driven vehicle until it counts as stuck [s]
     moved: float = 0.5  # minimum distance that counts as motion [m]

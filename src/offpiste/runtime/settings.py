@@ -25,7 +25,7 @@ _SAMPLING: Final = mppi.Settings(
 
 @dataclass(frozen=True)
 class RuntimeSettings:
-    """Settings of the run time; raises `PlanningError` if rate or latency is no multiple of a step."""
+    """Settings; raises `PlanningError` if latency or 1 / plan_rate is out of range or no multiple of `DT`."""
 
     plan_rate: float = 10.0  # plans per second [Hz]
     latency: float = PERCEPTION_LATENCY  # from the data of a plan to its first control [s]; a multiple of `DT`

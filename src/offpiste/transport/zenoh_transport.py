@@ -35,7 +35,7 @@ class ZenohSettings:
     config: str = ""  # zenoh's configuration (JSON5), e.g. with certificates; a given endpoint and mode override it
     largest: float = 64.0  # of messages [MiB]
     patient: bool = False  # whether publishers wait while a link is full instead of dropping the message
-    identity: bytes = field(default_factory=lambda: os.urandom(_GID // 2))  # begin of our publishers' GIDs, of a drive
+    identity: bytes = field(default_factory=lambda: os.urandom(_GID // 2))  # first 8 bytes of GIDs, equal in a drive
 
     @contextmanager
     def hosted(self) -> Iterator["ZenohSettings"]:
