@@ -77,9 +77,9 @@ class Controller:
         self._why = "control was started again" if before else ""
         self._gear = before.get("gear", settings.runtime.gear)
         self.transport = part.connect()
-        self._outputs, self._switch = CommandMessages(rig, self.transport.types), deque[Received](maxlen=64)
-        self._send = self._outputs.sender(self.transport) if settings.drive else None
-        for topic in self._outputs.topics if settings.drive else ():
+        outputs, self._switch = CommandMessages(rig, self.transport.types), deque[Received](maxlen=64)
+        self._send = outputs.sender(self.transport) if settings.drive else None
+        for topic in outputs.topics if settings.drive else ():
             self.transport.subscribe(topic, self._other, unchecked=True)
         if enable is not None:
             msgtype = rig.live.types.get(enable.topic, "")

@@ -46,7 +46,7 @@ def freeze_loaded_objects() -> None:
 
 
 def release_freed_memory() -> None:
-    """Return freed memory to the system, if the C library is glibc: planning grew by a gigabyte in half an hour."""
+    """Return freed memory to the system, if libc is glibc; without it, planning grows by 1 GB in half an hour."""
     if (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
         trim(0)
 
@@ -129,7 +129,7 @@ class Part:
         about = {
             "state": state,
             "cpu_s": time.process_time(),
-            "rss_mb": resident_memory(),
+            "rss_mb": _resident_memory(),
             "dropped": self.dropped.snapshot(),
             "pid": os.getpid(),
             "up_s": now - self._started,
@@ -219,7 +219,7 @@ class NewestCourse:
         return tracker
 
 
-def resident_memory() -> float:
+def _resident_memory() -> float:
     """Return the memory of this process [MB]."""
     with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123 - five times a second
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6

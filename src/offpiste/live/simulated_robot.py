@@ -131,10 +131,7 @@ class SimulatedRobot:
         self._command_topic = load_rig("proving_ground").outputs["command"].topic
         self._parameters, self._imperfections = load_vehicle(vehicle or None), Imperfections(pose_noise)
         self.commands, self._rng = RemoteCommands(), np.random.default_rng([seed, 3])
-        publisher = cache(transport.publisher)
-        self._publish: Callable[[str, Any], None] = lambda topic, message: publisher(topic, message.__msgtype__)(
-            message
-        )
+        self._publisher = cache(transport.publisher)
         transport.subscribe(self._command_topic, self._commanded, msgtype="sensor_msgs/msg/Joy")
         suite = sensor_suite(sensors)
         self._sensing = Sensing(world, suite, np.random.default_rng([seed, 2]))
@@ -183,6 +180,9 @@ class SimulatedRobot:
         driven = list(zip(samples, self.commands.given, strict=False))
         controls = [Controls(time_of(s.time), given[:3], "driving", gear=given[3]) for s, given in driven]
         return Driving([sample for sample, _ in driven], controls).from_first_throttle
+
+    def _publish(self, topic: str, message: Any) -> None:
+        self._publisher(topic, message.__msgtype__)(message)
 
     def _publish_vehicle(self, sample: VehicleSample) -> None:
         stamp, measured = stamp_ns(sample.time), with_noise(sample, self._imperfections, self._rng)
