@@ -88,5 +88,5 @@ def test_a_viewed_log_leads_to_its_extraction() -> None:
 
 
 def test_places_in_object_stores_keep_their_slashes() -> None:
-    line = next_steps.next_line("merge", Path("s3://b/part-1.zarr"), "s3://b/part-2.zarr", "--out", "d.zarr")
-    assert command_of(line) == "merge s3://b/part-1.zarr s3://b/part-2.zarr --out d.zarr"
+    line = next_steps.next_line("extract", Path("s3://b/1.mcap"), "s3://b/2.mcap", "--rig", "dart", "--out", "d.zarr")
+    assert command_of(line) == "extract s3://b/1.mcap s3://b/2.mcap --rig dart --out d.zarr"

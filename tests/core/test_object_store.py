@@ -12,6 +12,7 @@ from offpiste.cli import main
 from offpiste.core.errors import LogError, OffpisteError
 from offpiste.core.files import check_folder
 from offpiste.core.object_store import brought, download, expanded, url_of
+from offpiste.dataset.merge import merge_datasets
 from offpiste.logs import open_log
 
 
@@ -104,3 +105,5 @@ def test_commands_that_work_on_this_machine_alone_say_so() -> None:
         check_folder(Path("s3://b/run"))
     with pytest.raises(OffpisteError, match=r"s3://b/drive\.mcap: is in an object store"):
         open_log("s3://b/drive.mcap")
+    with pytest.raises(OffpisteError, match=r"s3://b/1\.zarr: is in an object store"):
+        merge_datasets([Path("s3://b/1.zarr"), Path("s3://b/2.zarr")], Path("d.zarr"))

@@ -19,7 +19,6 @@ from offpiste.core.checksums import CHECKSUMS, check_files, write_checksums
 from offpiste.core.conventions import DT, MIN_EVALUATION_SPEED, min_evaluation_speed
 from offpiste.core.errors import DatasetError
 from offpiste.core.files import check_folder, remove_partials, write_folder
-from offpiste.core.object_store import refuse_url
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.log_findings import LogFinding, StoredFindings, findings_by_drive
@@ -215,7 +214,6 @@ def open_dataset(path: str | Path) -> Dataset:
     Raises `DatasetError` if there is none, it has another schema or no drives, or a drive is damaged or invalid.
     """
     path = Path(path)
-    refuse_url(path)
     about, names = read_settings(path), drive_names(path)
     if not names:
         how = "run `offpiste extract` again; it resumes where it stopped"

@@ -13,6 +13,7 @@ from offpiste.core.checksums import CHECKSUMS, DamagedFile, check_files, sha256_
 from offpiste.core.conventions import MIN_EVALUATION_SPEED
 from offpiste.core.errors import DatasetError, RigError
 from offpiste.core.limits import parsed, read_small
+from offpiste.core.object_store import refuse_url
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import PARTS
@@ -51,6 +52,7 @@ NOTES: Final = ("made_by", "absent", "min_speed")  # settings that follow from o
 
 def read_settings(path: Path) -> Settings:
     """Read the settings of a dataset; raise `DatasetError` if there is none, or one is damaged or impossible."""
+    refuse_url(path)
     damaged = DatasetError("is damaged", where=path / "zarr.json", how=RESTORE)
     try:
         metadata = parsed(read_small(path / "zarr.json"))
