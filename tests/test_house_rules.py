@@ -72,6 +72,22 @@ def test_totals_do_not_grow():
     assert not over, over
 
 
+def test_lists_of_tests_name_what_exists():
+    """Each entry of the lists in `conftest.py` is the beginning of a file, or of a test in such a file."""
+    tests = ROOT / "tests"
+    assigned = [node for node in ast.parse((tests / "conftest.py").read_text("utf-8")).body if type(node) is ast.Assign]
+    lists = {ast.unparse(node.targets[0]): node.value for node in assigned}
+    texts = {file.relative_to(tests).as_posix(): file.read_text("utf-8") for file in tests.rglob("test_*.py")}
+    stale = []
+    for name in ("WHOLE_PATHS", "SLOW", "SMOKE", "REAL_TIME"):
+        for entry in ast.literal_eval(lists[name]):
+            file, _, test = entry.partition("::")
+            definition = f"\ndef {test.partition('[')[0]}"
+            if not any(definition in text for path, text in texts.items() if path.startswith(file)):
+                stale.append(f"{name}: {entry}")
+    assert not stale, stale
+
+
 def test_functions_fit_on_a_screen():
     long = [
         (str(file.relative_to(ROOT)), node.name, node.end_lineno - node.lineno + 1)

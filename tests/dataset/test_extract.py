@@ -10,8 +10,10 @@ import simulated
 import zarr
 
 from factories import circle_rows, small_rig
+from object_stores import s3_server
 from offpiste.core.checksums import write_checksums
 from offpiste.core.errors import DatasetError
+from offpiste.core.object_store import opened
 from offpiste.core.parallel import Outcome
 from offpiste.dataset import extract as extraction
 from offpiste.dataset import store
@@ -23,6 +25,8 @@ from offpiste.logs.log import Log
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import PrincipalComponents
+from offpiste.rig.rig import load_rig
+from shared_drives import blind_drives
 
 ROWS = 6000
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
@@ -49,7 +53,7 @@ def test_warnings_before_extraction(split, logs, warning, tmp_path, monkeypatch,
     assert warning is None or warning in caplog.text
 
 
-def opened(monkeypatch: pytest.MonkeyPatch, logs: dict[str, Log]) -> list[Path]:
+def in_memory(monkeypatch: pytest.MonkeyPatch, logs: dict[str, Log]) -> list[Path]:
     """Replace files by logs in memory."""
 
     def open_log(path: Path, clock: object) -> Log:
@@ -67,7 +71,7 @@ def in_kilometres(log: simulated.MemoryLog) -> simulated.MemoryLog:
 
 def test_unusable_logs_are_refused_and_others_extracted(tmp_path, monkeypatch, caplog) -> None:
     log = simulated.drive_log(60.0)
-    logs = opened(monkeypatch, {"one": in_kilometres(log), "two": in_kilometres(log), "good": log})
+    logs = in_memory(monkeypatch, {"one": in_kilometres(log), "two": in_kilometres(log), "good": log})
     with pytest.raises(UnusableLog, match=r"one\.csv: unusable: position:.*--force"):
         extract([logs[0], logs[2]], simulated.rig(), tmp_path / "d.zarr")
     assert [drive.name for drive in store.open_dataset(tmp_path / "d.zarr").drives] == ["good"]
@@ -82,6 +86,19 @@ def test_unusable_logs_are_refused_and_others_extracted(tmp_path, monkeypatch, c
         dataset = extract(logs[:1], simulated.rig(), tmp_path / "d.zarr", force=True)
     assert "fatal" in [finding.severity for finding in dataset.drives[1].findings]
     assert "  FATAL, extracted by --force: position: " in caplog.text
+
+
+def test_logs_in_an_object_store_make_the_dataset_that_is_made_here(tmp_path) -> None:
+    logs, rig = blind_drives(tmp_path, 2), load_rig("proving_ground")
+    datasets = [tmp_path / "here.zarr", tmp_path / "there.zarr"]
+    extract(logs, rig, datasets[0])
+    with s3_server("bucket"):
+        with opened("s3://bucket/logs") as (files, root):
+            for log in logs:
+                files.put_file(str(log), f"{root}/{log.name}")
+        extract(["s3://bucket/logs/*.mcap"], rig, datasets[1], processes=2)
+    here, there = ({f.relative_to(d): f.read_bytes() for f in d.rglob("*") if f.is_file()} for d in datasets)
+    assert here == there
 
 
 def test_a_flipped_sign_is_a_warning_with_its_fix() -> None:
