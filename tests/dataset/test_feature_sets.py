@@ -20,9 +20,6 @@ from offpiste.mapping.voxels_to_layers import MapCells
 STORED = len(FEATURE_SETS)
 
 
-DRAWS = (hindsight, hindsight_throughout, per_trajectory)
-
-
 def of(draw: Draw, count: int, *, seed: int = 0) -> FeatureSetChoice:
     return drawn(draw, np.random.default_rng(seed), count, STORED)
 

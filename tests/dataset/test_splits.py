@@ -23,8 +23,6 @@ from offpiste.logs.channel import read_channel
 from offpiste.perception.backbones import open_backbone
 from offpiste.rig.rig import Rig, parse_rig
 
-REACH = HISTORY_STEPS + HORIZON_STEPS
-
 
 def wandering(rows: int, seed: int = 0) -> np.ndarray:
     """A path that leaves and comes back to places."""

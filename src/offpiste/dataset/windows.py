@@ -152,10 +152,6 @@ class Windows:
         other.horizon = min(horizon or self.horizon, self.horizon)
         return other
 
-    def motion(self) -> dict[str, np.ndarray]:
-        """Return all rows of the columns of `MOTION`, and the first row of each drive."""
-        return {name: self._columns[name].cpu().numpy() for name in MOTION} | {"first row": self._offset}
-
     def evaluation_indices(self, stride: int) -> Int[np.ndarray, " n"]:
         """Return the indices of windows for evaluation: those with a snapshot of the map, if there are any."""
         return np.flatnonzero(self.maps.snapped) if self.maps.snapped.any() else self.strided(stride)
