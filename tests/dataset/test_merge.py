@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from offpiste.core.checksums import CHECKSUMS
 from offpiste.core.errors import DatasetError, OffpisteError
 from offpiste.core.parallel import parse_shard
 from offpiste.dataset.merge import merge_datasets
@@ -70,6 +71,14 @@ def test_what_does_not_fit_together_is_refused(folder, shards, tmp_path):
     with pytest.raises(DatasetError, match="another split"):
         merge_datasets([shards[0], tmp_path / "other.zarr"], out)
     assert not out.exists()
+
+
+def test_a_drive_without_checksums_is_another_drive(shards, tmp_path):
+    out = tmp_path / "d.zarr"
+    merge_datasets(shards, out)
+    (out / "drive-1" / CHECKSUMS).unlink()
+    with pytest.raises(DatasetError, match="contains another drive 'drive-1' than"):
+        merge_datasets(shards, out)
 
 
 def test_a_damaged_shard_is_found_before_anything_is_merged(shards, tmp_path):

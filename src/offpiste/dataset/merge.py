@@ -45,9 +45,10 @@ def merge_datasets(parts: Sequence[Path], out: Path) -> Dataset:
     else:
         write_folder(out, partial(_copy, parts[0], ("zarr.json", CHECKSUMS)))
     for name, part in track(list(where.items()), "merge"):
+        sums = [folder / name / CHECKSUMS for folder in (out, part)]
         if not (out / name).exists():
             write_folder(out / name, partial(_copy, part / name, None))
-        elif (out / name / CHECKSUMS).read_bytes() != (part / name / CHECKSUMS).read_bytes():
+        elif not sums[0].exists() or sums[0].read_bytes() != sums[1].read_bytes():
             how = "choose another --out, or delete it"
             raise DatasetError(f"contains another drive '{name}' than {part}", where=out, how=how)
     dataset = open_dataset(out)
