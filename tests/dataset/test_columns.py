@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from factories import circle_rows, small_rig
+from offpiste.core.channels import MORE_ACTUATORS, Actuator
 from offpiste.dataset.columns import COLUMNS, Column, RowGrid, channel_column
 from offpiste.dataset.resample import rows_from_arrays
 from offpiste.logs.channel import Channel
@@ -28,6 +29,15 @@ def test_rows_are_complete_where_present_components_are_known(present, complete)
     assert column.complete(values, small_rig()).tolist() == complete
     by_set = Column(read=lambda grid: grid.time, shape=(2,), present=lambda rig: present, by_feature_set=True)
     assert by_set.complete(values[None], small_rig()).tolist() == complete
+
+
+def test_actuators_of_one_channel_have_a_column_each(monkeypatch):
+    for name in ("front", "rear"):
+        monkeypatch.setitem(MORE_ACTUATORS._entries, name, Actuator(name, channel="air"))
+    rig, time = small_rig('[channels.air]\ntopic = "air"\nfields = ["p"]\n'), np.arange(0, 3, 0.1)
+    grid = RowGrid(Drive("one", rig, {"air": Channel("air", "1", time, time[:, None])}), time)
+    np.testing.assert_allclose(COLUMNS["actuators"].read(grid)[:, 4:], np.stack((time, time), axis=1))
+    assert COLUMNS["actuators"].present(rig) == [False] * 4 + [True] * 2
 
 
 def test_a_channel_column_is_unknown_in_gaps_and_absent_without_the_channel(monkeypatch):

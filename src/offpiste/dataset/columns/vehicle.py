@@ -11,23 +11,23 @@ from offpiste.logs.motion import across_jumps, driven_slope
 from offpiste.rig.rig import Rig
 
 
-def _controls(rig: Rig) -> dict[str, bool]:
+def _controls(rig: Rig) -> list[tuple[str, bool]]:
     """Return the channel of each control, and whether the rig's logs have it."""
-    return {control.name: control.name in rig.present_controls for control in rig.controls}
+    return [(control.name, control.name in rig.present_controls) for control in rig.controls]
 
 
-def _actuators(rig: Rig) -> dict[str, bool]:
-    return {actuator.channel: actuator.name in rig.present_actuators for actuator in rig.actuators}
+def _actuators(rig: Rig) -> list[tuple[str, bool]]:
+    return [(actuator.channel, actuator.name in rig.present_actuators) for actuator in rig.actuators]
 
 
-def _register(name: str, of: Callable[[Rig], dict[str, bool]], count: int, *segments: Segment) -> None:
+def _register(name: str, of: Callable[[Rig], list[tuple[str, bool]]], count: int, *segments: Segment) -> None:
     """Register a column of several channels, causal if its name says so."""
     channel = RowGrid.channel_causal if name.endswith("_causal") else RowGrid.channel
 
     def read(grid: RowGrid) -> np.ndarray:
-        return np.column_stack([channel(grid, each) for each in of(grid.drive.rig)])
+        return np.column_stack([channel(grid, each) for each, _ in of(grid.drive.rig)])
 
-    COLUMNS.register(name)(Column(read, (count,), lambda rig: list(of(rig).values()), segments))
+    COLUMNS.register(name)(Column(read, (count,), lambda rig: [present for _, present in of(rig)], segments))
 
 
 _register("control", _controls, len(CONTROL), "ahead")
