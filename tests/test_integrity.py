@@ -188,9 +188,12 @@ def test_check_names_a_damaged_file_and_what_to_do(
 
 def test_check_misses_no_missing_chunk(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(made / "data.zarr", tmp_path / "data.zarr")
-    (tmp_path / "data.zarr/kept/snapshots/rise/c/0/0").unlink()
+    missing = {"rise": "kept/snapshots/rise/c/0/0", "elevation": "mapped/map/elevation/c/0/0"}
+    for chunk in missing.values():
+        (tmp_path / "data.zarr" / chunk).unlink()
     assert run_check(tmp_path / "data.zarr") == 1
-    assert "a chunk of 'rise' is missing" in capsys.readouterr().out
+    output = capsys.readouterr().out
+    assert all(f"a chunk of '{array}' is missing; delete" in output for array in missing), output
 
 
 def test_check_refuses_what_is_nothing_of_ours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

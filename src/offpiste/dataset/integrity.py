@@ -8,7 +8,7 @@ from offpiste.core.checksums import damaged_files
 from offpiste.core.errors import OffpisteError
 from offpiste.dataset.store import drive_names, open_dataset
 from offpiste.dataset.store_validation import RESTORE
-from offpiste.dataset.stored_arrays import check_crc32c
+from offpiste.dataset.stored_arrays import check_crc32c, open_stored
 
 
 class Check(NamedTuple):
@@ -24,7 +24,7 @@ class Check(NamedTuple):
             self.raises(self.path)
         except OffpisteError as error:
             return [str(error)]
-        except (OSError, ValueError) as error:
+        except (OSError, KeyError, ValueError, TypeError, OverflowError) as error:
             return [f"{error}; {self.fix}" if self.fix else str(error)]
         return []
 
@@ -36,6 +36,7 @@ def dataset_checks(path: Path) -> Iterator[Check]:
         drive = path / name
         fix = f"delete {drive} and run `offpiste extract` again"
         yield Check(drive, _check_metadata, fix)
+        yield Check(drive, open_stored, fix)
         yield from (Check(file, check_crc32c, fix) for file in sorted(drive.rglob("c/**/*")) if file.is_file())
     yield Check(path, open_dataset)
 
