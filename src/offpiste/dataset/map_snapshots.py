@@ -125,10 +125,10 @@ class SnapshotSettings:
 
     def __post_init__(self) -> None:
         if not 0 <= self.latency <= 1:
-            raise DatasetError(f"the latency of snapshots is {self.latency:g} s", how="give a time from 0 to 1")
-        for name, value in (("time between snapshots", self.seconds), ("minimum speed of snapshots", self.min_speed)):
+            raise DatasetError(f"the latency of snapshots is {self.latency:g} s", how="give a time from 0 to 1 s")
+        for name, value, unit in (("time between", self.seconds, "s"), ("minimum speed of", self.min_speed, "m/s")):
             if value is not None and not 0 <= value < np.inf:
-                raise DatasetError(f"the {name} is {value:g}", how="give a number of 0 or more")
+                raise DatasetError(f"the {name} snapshots is {value:g} {unit}", how="give a number of 0 or more")
 
 
 class SnapshotSchedule:
