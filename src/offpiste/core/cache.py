@@ -1,4 +1,4 @@
-"""Cache of reproducible files: compiled code, copies of datasets."""
+"""Cache of compiled code, which can be made again."""
 
 import os
 import shutil

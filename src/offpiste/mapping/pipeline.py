@@ -1,7 +1,7 @@
 """Mapping pipeline from scans with features to map layers, identical on the vehicle and offline.
 
 On the vehicle features are encoded before mapping, from 40 channels to 4; offline the map holds features, from which
-the encoder is learned (paper, "Dataset Collection Pipeline"). Without averaging, both orders give the same map.
+the encoder is learned (paper, "Dataset Collection Pipeline").
 """
 
 from dataclasses import dataclass, field

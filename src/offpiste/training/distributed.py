@@ -19,7 +19,7 @@ TIMEOUT = timedelta(minutes=30)
 
 @dataclass(frozen=True)
 class Group:
-    """Processes of a training: number of this one, and of all."""
+    """Processes of a training: rank of this one, from 0, and number of all."""
 
     rank: int = 0
     size: int = 1
