@@ -2,6 +2,7 @@
 
 import os
 import platform
+import runpy
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -9,8 +10,16 @@ from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
 
 SOURCES = Path("src/offpiste/native/cpp")
-HEADERS = [str(path) for path in Path("src/offpiste").glob("**/*.h")]
-FLAGS = ["-O3", "-std=c++17", "-fvisibility=hidden", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"]
+TREE = runpy.run_path("src/offpiste/native/sources.py")
+FLAGS = [
+    "-O3",
+    "-std=c++17",
+    "-fvisibility=hidden",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-Wno-psabi",
+    "-Wno-maybe-uninitialized",
+]
 SETS = ("avx512", "avx2", "baseline") if platform.machine() in ("x86_64", "AMD64") else ("baseline",)
 
 
@@ -35,7 +44,8 @@ def library(name: str) -> Extension:
     return Extension(
         f"offpiste.native._{name}",
         [source],
-        depends=HEADERS,
+        depends=[str(path) for path in TREE["sources"]()],
+        define_macros=[("OFFPISTE_SOURCES", f'"{TREE["digest"]()}"')],
         extra_compile_args=FLAGS,
         optional=True,
     )

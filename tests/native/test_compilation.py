@@ -1,16 +1,11 @@
-"""Compiled entries, their sources, and threads."""
-
-import threading
+"""Compiled entries and their sources."""
 
 import numba
 import numpy as np
-import pytest
-import torch
 
 from compiled_from import PACKAGE, compiled_from
 from offpiste.native import compilation
 from offpiste.native.compilation import Compiler
-from offpiste.native.threads import single_threaded_torch, spread_blocks, spread_kernel
 
 
 def test_an_entry_works_where_machine_code_cannot_be_cached():
@@ -63,59 +58,3 @@ def test_an_entry_calls_its_own_copies_of_other_functions():
     found = [[link for name, link in linkages(of).items() if "fibonacci" in name] for of in (plain, entry)]
     assert found == [["linkonce_odr"], ["internal"]]
     assert "linkonce_odr" not in linkages(entry).values()
-
-
-@pytest.mark.parametrize(("threads", "blocks"), [(1, 5), (2, 1), (3, 7), (8, 5)])
-def test_every_block_is_in_one_part(threads, blocks):
-    done, callers = [], set()
-
-    def loop(first, last, given):
-        assert given == "given"
-        done.extend(range(first, last))
-        callers.add(threading.current_thread())
-
-    spread_blocks(threads, blocks, loop, "given")
-    assert sorted(done) == list(range(blocks))
-    assert threading.current_thread() in callers, "the caller works too"
-
-
-def test_an_error_in_a_thread_is_raised_in_the_caller():
-    def loop(first, last):
-        if first:
-            raise ValueError("no")
-
-    with pytest.raises(ValueError, match="no"):
-        spread_blocks(2, 2, loop)
-
-
-@pytest.fixture
-def two_torch_threads():
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
-
-
-def parts(blocks):
-    found = []
-    spread_kernel(blocks, lambda first, last: found.append((first, last)))
-    return sorted(found)
-
-
-def test_kernels_use_as_many_threads_as_torch(two_torch_threads):
-    assert parts(5) == [(0, 2), (2, 5)]
-    with single_threaded_torch():
-        assert torch.get_num_threads() == 1
-        assert parts(4) == [(0, 2), (2, 4)]
-        with single_threaded_torch():
-            assert parts(4) == [(0, 2), (2, 4)]
-        assert parts(4) == [(0, 2), (2, 4)]
-    assert torch.get_num_threads() == 2
-
-
-def test_torch_has_its_threads_back_after_an_error(two_torch_threads):
-    with pytest.raises(ValueError, match="no"), single_threaded_torch():
-        raise ValueError("no")
-    assert torch.get_num_threads() == 2
-    torch.set_num_threads(1)
-    assert parts(4) == [(0, 4)]

@@ -8,11 +8,12 @@ import pytest
 import torch
 
 from dynamics.kernels.test_rollout import CHANNELS, TOLERANCE, difference, example, run, windows
+from offpiste.core.errors import OffpisteError
 from offpiste.core.state import RecordedTerrain
 from offpiste.dynamics import Hybrid, rollout
 from offpiste.dynamics.kernels import autograd, coverage
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
-from offpiste.native import compiler, library
+from offpiste.native import compiler, library, tensors
 from offpiste.planning.controls import CONTROL_LIMITS, keep_within, keep_within_stepwise
 from offpiste.planning.costs.text import shipped_terms_text
 from offpiste.planning.course import along_path
@@ -23,7 +24,7 @@ NARROWER = {"avx512": ("avx2", "baseline"), "avx2": ("baseline",)}
 
 @pytest.fixture
 def without_library(monkeypatch):
-    for module in (library, autograd, compiler):
+    for module in (library, autograd, compiler, tensors):
         monkeypatch.setattr(module, "library", lambda: None)
     monkeypatch.setattr("offpiste.planning.controls.library", lambda: None)
     monkeypatch.setattr("offpiste.planning.course.library", lambda: None)
@@ -37,7 +38,7 @@ def test_every_instruction_set_agrees_with_the_eager_model(monkeypatch):
     for name in NARROWER.get(library.instruction_set(), ()):
         loaded = library._loaded(name)
         assert loaded is not None
-        monkeypatch.setattr(library, "library", lambda loaded=loaded: loaded)
+        monkeypatch.setattr(tensors, "library", lambda loaded=loaded: loaded)
         found, gradients = run(copy.deepcopy(model).float(), inputs, rollout_recorded)
         assert difference(found.state, wanted.state) < TOLERANCE, name
         assert gradients.keys() == wanted_gradients.keys()
@@ -76,11 +77,42 @@ def test_a_damaged_library_is_done_without(tmp_path, monkeypatch, caplog):
         library._loaded.cache_clear()
 
 
+def test_a_library_of_other_sources_is_done_without(monkeypatch, caplog):
+    monkeypatch.setattr(library, "digest", lambda: "another")
+    library._loaded.cache_clear()
+    try:
+        assert library._loaded("baseline") is None
+        assert "built from other sources); install offpiste again" in caplog.text
+    finally:
+        library._loaded.cache_clear()
+
+
+def test_entries_refuse_arrays_of_another_type_or_layout():
+    copy = library.entry("sources", "f4")
+    for array in (np.zeros(3), np.zeros((4, 2), np.float32)[:, 0]):
+        with pytest.raises(TypeError, match="contiguous arrays of float32"):
+            copy(array)
+
+
+def test_entries_run_as_written_without_the_library(monkeypatch, caplog):
+    @library.compiled("f8", float)
+    def grow(values, by):
+        values += by
+
+    monkeypatch.setattr(library, "library", lambda: None)
+    values = np.zeros(2)
+    grow(values, 1.5)
+    assert values.tolist() == [1.5, 1.5]
+    assert library.MISSING in caplog.text
+    with pytest.raises(OffpisteError, match="install g"):
+        library.entry("grow", "f8", float)(values, 1.5)
+
+
 def test_what_is_not_contiguous_is_refused():
     with pytest.raises(ValueError, match="not contiguous"):
-        library.address(torch.zeros(3, 4).t())
+        tensors.address(torch.zeros(3, 4).t())
     with pytest.raises(ValueError, match="not contiguous"):
-        library.address(np.zeros((3, 4)).T)
+        tensors.address(np.zeros((3, 4)).T)
 
 
 @pytest.mark.parametrize("what", ["no compiler", "code that does not compile", "no place for it"])

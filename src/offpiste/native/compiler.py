@@ -14,6 +14,7 @@ from typing import Final
 
 from offpiste.core.cache import cache_folder
 from offpiste.native.library import instruction_set, library
+from offpiste.native.sources import digest
 
 logger = logging.getLogger(__name__)
 
@@ -32,14 +33,15 @@ def planning_library(costs: str) -> ctypes.CDLL | None:
     """
     if costs == source_text("costs.h"):
         return library()
-    key = hashlib.sha256("\0".join((costs, instruction_set(), *_included())).encode()).hexdigest()
+    key = hashlib.sha256("\0".join((costs, instruction_set(), digest())).encode()).hexdigest()
     path = cache_folder() / "costs" / f"{key[:32]}.so"
     try:
         if not path.exists():
             _compile(costs, path)
         return ctypes.CDLL(str(path))
     except (OSError, subprocess.SubprocessError) as error:
-        reason = (getattr(error, "stderr", "") or str(error)).strip().partition("\n")[0]
+        lines = (getattr(error, "stderr", "") or str(error)).strip().splitlines()
+        reason = next((line for line in lines if "error" in line), lines[0])
         logger.warning(f"added cost terms cannot be compiled; plans are computed eagerly, 100 times slower: {reason}")
         return None
 
@@ -47,12 +49,6 @@ def planning_library(costs: str) -> ctypes.CDLL | None:
 def source_text(name: str) -> str:
     """Return the text of a source file of the library."""
     return files("offpiste.native").joinpath("cpp", name).read_text("utf-8")
-
-
-def _included() -> list[str]:
-    folders = (files("offpiste").joinpath(folder) for folder in ("native/cpp", "dynamics/header"))
-    sources = (file for folder in folders for file in folder.iterdir() if file.name.endswith((".h", ".cpp")))
-    return [file.read_text("utf-8") for file in sorted(sources, key=str)]
 
 
 def _compile(costs: str, path: Path) -> None:

@@ -1,16 +1,16 @@
-"""The compiled library (`native/cpp`): loading it for this processor, and calls of its entries."""
+"""The compiled library (`native/cpp`): loading it for this processor, and its functions on NumPy arrays."""
 
 import ctypes
 import logging
-from functools import cache
+from collections.abc import Callable
+from functools import cache, wraps
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from offpiste.native.threads import spread_kernel
+from offpiste.core.errors import OffpisteError
+from offpiste.native.sources import digest
 
 logger = logging.getLogger(__name__)
 
@@ -20,8 +20,8 @@ MISSING: Final = "offpiste was installed without a C++ compiler; install g++, th
 SETS: Final = ("avx512", "avx2", "baseline")
 """Instruction sets that the library is compiled for, the best first."""
 
-CHUNK: Final = 32
-"""Samples whose sums are computed together (`native/cpp/recorded.h`)."""
+Type = type[int] | type[float] | str | np.dtype[Any]
+"""Type of an argument: a whole number (int64_t), a number (double), or the items of an array, such as "f4"."""
 
 
 @cache
@@ -36,9 +36,7 @@ def instruction_set() -> str:
     baseline = _loaded("baseline")
     if baseline is None:
         return ""
-    name = baseline.offpiste_instruction_set
-    name.restype = ctypes.c_char_p
-    known = SETS[SETS.index(name().decode()) :]
+    known = SETS[SETS.index(_text(baseline, "instruction_set")) :]
     return next(candidate for candidate in known if _loaded(candidate) is not None)
 
 
@@ -46,71 +44,89 @@ def instruction_set() -> str:
 def _loaded(name: str) -> ctypes.CDLL | None:
     for path in Path(__file__).parent.glob(f"_{name}.*"):
         try:
-            return ctypes.CDLL(str(path))
-        except OSError as error:
-            logger.warning(f"{path} cannot be used ({error}); install offpiste again")
+            loaded = ctypes.CDLL(str(path))
+            if _text(loaded, "sources") == digest():
+                return loaded
+            reason = "it was built from other sources"
+        except (OSError, AttributeError) as error:
+            reason = str(error)
+        logger.warning(f"{path} cannot be used ({reason}); install offpiste again")
     return None
 
 
-def call(name: str, count: int, *arguments: object, of: ctypes.CDLL | None = None) -> None:
-    """Call an entry on parts 0 to `count`, spread over threads.
+def _text(loaded: ctypes.CDLL, name: str) -> str:
+    entry = getattr(loaded, f"offpiste_{name}")
+    entry.restype = ctypes.c_char_p
+    text: bytes = entry()
+    return text.decode()
+
+
+def compiled(*types: Type, returns: type[int] | type[float] | None = None) -> Callable[..., Any]:
+    """Run a function as `offpiste_<name>` of the library, or as it is written where there is no library.
+
+    The function that is written stays as attribute `plain`.
 
     Args:
-        arguments: contiguous tensors or arrays, structures, integers, or None for no array.
-        of: library of the entry, if it is not the one that ships.
+        types: of the arguments; arrays must be contiguous, and None stands for no array.
     """
-    entry = getattr(of or library(), f"offpiste_{name}")
-    entry.restype = None
-    spread_kernel(count, entry, *map(_argument, arguments))
+
+    def replace(function: Callable[..., Any]) -> Callable[..., Any]:
+        run = entry(function.__name__, *types, returns=returns)
+
+        @wraps(function)
+        def chosen(*arguments: Any) -> Any:
+            if library() is None:
+                _tell_slow(function.__module__)
+                return function(*arguments)
+            return run(*arguments)
+
+        chosen.plain = function  # type: ignore[attr-defined]
+        return chosen
+
+    return replace
 
 
-def _argument(argument: object) -> Any:
-    if isinstance(argument, ctypes.Structure):
-        return ctypes.byref(argument)
-    return argument if isinstance(argument, int) else address(argument)
+def entry(name: str, *types: Type, returns: type[int] | type[float] | None = None) -> Callable[..., Any]:
+    """Return the function `offpiste_<name>` of the library, which releases the GIL.
 
-
-def address(array: object) -> ctypes.c_void_p:
-    """Return the address of a contiguous tensor or array; 0 for None.
+    Args:
+        types: of the arguments; arrays must be contiguous, and None stands for no array.
 
     Raises:
-        ValueError: it is not contiguous.
+        OffpisteError: there is no library, when it is called.
+        TypeError: an array has another type or is not contiguous, when it is called.
     """
-    if isinstance(array, Tensor):
-        if not array.is_contiguous() or array.device.type != "cpu":
-            raise ValueError(f"a tensor {list(array.shape)} is not contiguous on the CPU")
-        return ctypes.c_void_p(array.data_ptr())
-    if isinstance(array, np.ndarray):
-        if not array.flags.c_contiguous:
-            raise ValueError(f"an array {array.shape} is not contiguous")
-        return ctypes.c_void_p(array.ctypes.data)
-    assert array is None
-    return ctypes.c_void_p(0)
+    of_arguments = [kind if kind in (int, float) else np.dtype(kind) for kind in types]
+    bound = cache(lambda: _bound(name, of_arguments, returns))
+
+    def run(*arguments: Any) -> Any:
+        given = zip(arguments, of_arguments, strict=True)
+        return bound()(*(value if kind in (int, float) else _pointer(name, value, kind) for value, kind in given))
+
+    return run
 
 
-class Arrays:
-    """Arrays whose addresses are in a structure, kept alive with it."""
+_C_TYPES: Final = {int: ctypes.c_int64, float: ctypes.c_double, None: None}
 
-    def __init__(self) -> None:
-        self._kept: list[object] = []
 
-    def floats(self, values: Tensor) -> ctypes.c_void_p:
-        """Keep values as contiguous float32 and return their address."""
-        return self._address(values.detach().to(torch.float32).contiguous())
+def _bound(name: str, types: list[Any], returns: type[int] | type[float] | None) -> Any:
+    of = library()
+    if of is None:
+        raise OffpisteError("the compiled library is missing, which this needs", how=MISSING)
+    bound = getattr(of, f"offpiste_{name}")
+    bound.argtypes = [_C_TYPES.get(kind, ctypes.c_void_p) for kind in types]
+    bound.restype = _C_TYPES[returns]
+    return bound
 
-    def bytes(self, values: Tensor) -> ctypes.c_void_p:
-        """Keep values of any type as they are and return their address."""
-        return self._address(values.detach().contiguous())
 
-    def whole(self, values: Tensor | list[int]) -> ctypes.c_void_p:
-        """Keep whole numbers as int32 and return their address."""
-        return self._address(torch.as_tensor(values, dtype=torch.int32).contiguous())
+def _pointer(name: str, array: np.ndarray | None, items: np.dtype[Any]) -> int | None:
+    if array is None:
+        return None
+    if array.dtype != items or not array.flags.c_contiguous:
+        raise TypeError(f"{name} takes contiguous arrays of {items}, not {array.dtype} with strides {array.strides}")
+    return array.ctypes.data
 
-    def structures(self, array: ctypes.Array[Any]) -> ctypes.c_void_p:
-        """Keep structures and return the address of the first."""
-        self._kept.append(array)
-        return ctypes.c_void_p(ctypes.addressof(array))
 
-    def _address(self, values: Tensor) -> ctypes.c_void_p:
-        self._kept.append(values)
-        return address(values)
+@cache
+def _tell_slow(module: str) -> None:
+    logger.warning(f"{module} runs without the compiled library, many times slower: {MISSING}")

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
@@ -18,7 +18,10 @@ def spread_blocks(threads: int, blocks: int, loop: Callable[..., object], *argum
     cuts = [blocks * i // threads for i in range(threads + 1)]
     first, *others = pairwise(cuts)
     futures = [_pool(threads).submit(loop, *part, *arguments) for part in others]
-    loop(*first, *arguments)
+    try:
+        loop(*first, *arguments)
+    finally:
+        wait(futures)  # the arrays may be freed after an error
     for future in futures:
         future.result()
 

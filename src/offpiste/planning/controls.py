@@ -17,7 +17,8 @@ from offpiste.core.channels import CONTROLS, OPTIONAL_CONTROLS
 from offpiste.core.conventions import CONTROL
 from offpiste.core.errors import PlanningError
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.native.library import CHUNK, Arrays, call, library
+from offpiste.native.library import library
+from offpiste.native.tensors import CHUNK, Arrays, call
 
 
 @dataclass(frozen=True)

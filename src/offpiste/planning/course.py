@@ -11,7 +11,8 @@ from scipy.spatial import cKDTree
 
 from offpiste.core.errors import PlanningError
 from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.native.library import address, call, library
+from offpiste.native.library import library
+from offpiste.native.tensors import address, call
 
 BLOCK = 4
 """Side of a block [cells]; far from the path, the cells of a block share their nearest point of the path."""

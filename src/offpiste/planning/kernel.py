@@ -22,7 +22,7 @@ from offpiste.dynamics.kernels.model_state import from_kernel_state, to_kernel_s
 from offpiste.dynamics.kernels.structures import model_of
 from offpiste.mapping.terrain_sampler import MapStack
 from offpiste.native.compiler import planning_library
-from offpiste.native.library import CHUNK, Arrays, call
+from offpiste.native.tensors import CHUNK, Arrays, call
 from offpiste.planning.caution import Caution, spread_weights
 from offpiste.planning.controls import complete
 from offpiste.planning.costs.declaration import cost_terms

@@ -17,7 +17,8 @@ from offpiste.dynamics.kernels.networks import learned_constants, model_networks
 from offpiste.dynamics.kernels.parity import APART, largest_difference
 from offpiste.dynamics.kernels.structures import Learning, Model, Record, model_of
 from offpiste.dynamics.torch_physics import drive_train
-from offpiste.native.library import CHUNK, MISSING, Arrays, address, call, library
+from offpiste.native.library import MISSING, library
+from offpiste.native.tensors import CHUNK, Arrays, address, call
 
 _agrees: WeakKeyDictionary[Dynamics, bool] = WeakKeyDictionary()
 """Whether the kernels agree with each model that was compared with them in this process."""

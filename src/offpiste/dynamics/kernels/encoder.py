@@ -15,7 +15,8 @@ from torch.nn.functional import pad
 
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder
 from offpiste.dynamics.kernels.coverage import uncovered_encoder
-from offpiste.native.library import Arrays, call, library
+from offpiste.native.library import library
+from offpiste.native.tensors import Arrays, call
 
 CELLS: Final = 1024
 """Cells whose gradients are summed before those of others (`native/cpp/encoder.h`)."""

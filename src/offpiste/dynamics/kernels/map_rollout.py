@@ -18,7 +18,7 @@ from offpiste.dynamics.kernels.encoder import encoder_of
 from offpiste.dynamics.kernels.model_state import to_kernel_state
 from offpiste.dynamics.kernels.structures import model_of
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
-from offpiste.native.library import CHUNK, Arrays, call
+from offpiste.native.tensors import CHUNK, Arrays, call
 
 _Eight = c_float * 8
 

@@ -18,7 +18,7 @@ from offpiste.dynamics.kernels.networks import (
     model_networks,
 )
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.native.library import Arrays
+from offpiste.native.tensors import Arrays
 
 MOST_NETWORKS: Final = 3
 """Networks of one model: of the forces, the brake and the steering."""

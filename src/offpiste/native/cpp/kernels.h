@@ -37,6 +37,9 @@ OFFPISTE_ENTRY(plan)(
 }
 
 #ifndef OFFPISTE_PLAN_ONLY
+/* Digest of the sources (native/sources.py). */
+extern "C" __attribute__((visibility("default"))) const char* offpiste_sources() { return OFFPISTE_SOURCES; }
+
 OFFPISTE_ENTRY(forward)(
     int first, int last, const Model* model, const Record* record, float* tape, float* states, float* actuators) {
     roll_forward(first, last, *model, *record, tape, states, actuators);
