@@ -96,7 +96,7 @@ def entry(name: str, *types: Type, returns: type[int] | type[float] | None = Non
         OffpisteError: there is no library, when it is called.
         TypeError: an array has another type or is not contiguous, when it is called.
     """
-    of_arguments = [kind if kind in (int, float) else np.dtype(kind) for kind in types]
+    of_arguments: list[Any] = [kind if kind in (int, float) else np.dtype(kind) for kind in types]
     bound = cache(lambda: _bound(name, of_arguments, returns))
 
     def run(*arguments: Any) -> Any:

@@ -2,7 +2,7 @@
 #define OFFPISTE_WIDTH 4
 #include "kernels.h"
 
-extern "C" __attribute__((visibility("default"))) const char* offpiste_instruction_set() {
+OFFPISTE_ENTRY_OF(const char*, instruction_set)() {
 #ifdef __x86_64__
     __builtin_cpu_init();
     if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq"))

@@ -1,6 +1,7 @@
 /* Entries of the library for one instruction set, on chunks first ... last - 1. */
 #include <math.h>
 #include <stddef.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 #ifdef __x86_64__
@@ -10,6 +11,9 @@
 #ifndef OFFPISTE_COSTS
 #define OFFPISTE_COSTS "costs.h"
 #endif
+
+#define OFFPISTE_ENTRY_OF(type, name) extern "C" __attribute__((visibility("default"))) type offpiste_##name
+#define OFFPISTE_ENTRY(name) OFFPISTE_ENTRY_OF(void, name)
 
 namespace {
 #include "lanes.h"
@@ -29,8 +33,6 @@ namespace {
 #include "plan.h"
 }
 
-#define OFFPISTE_ENTRY(name) extern "C" __attribute__((visibility("default"))) void offpiste_##name
-
 OFFPISTE_ENTRY(plan)(
     int first, int last, const Model* model, const Situation* situation, const Samples* samples) {
     roll_plan(first, last, *model, *situation, *samples);
@@ -38,7 +40,7 @@ OFFPISTE_ENTRY(plan)(
 
 #ifndef OFFPISTE_PLAN_ONLY
 /* Digest of the sources (native/sources.py). */
-extern "C" __attribute__((visibility("default"))) const char* offpiste_sources() { return OFFPISTE_SOURCES; }
+OFFPISTE_ENTRY_OF(const char*, sources)() { return OFFPISTE_SOURCES; }
 
 OFFPISTE_ENTRY(forward)(
     int first, int last, const Model* model, const Record* record, float* tape, float* states, float* actuators) {
