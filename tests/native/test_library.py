@@ -88,10 +88,11 @@ def test_a_library_of_other_sources_is_done_without(monkeypatch, caplog):
 
 
 def test_entries_refuse_arrays_of_another_type_or_layout():
-    copy = library.entry("sources", "f4")
-    for array in (np.zeros(3), np.zeros((4, 2), np.float32)[:, 0]):
-        with pytest.raises(TypeError, match="contiguous arrays of float32"):
-            copy(array)
+    for items, other in (("f4", "f8"), ("f8", "f4")):
+        copy = library.entry("sources", items)
+        for array in (np.zeros(3, other), np.zeros((4, 2), items)[:, 0]):
+            with pytest.raises(TypeError, match=f"contiguous arrays of {np.dtype(items)}"):
+                copy(array)
 
 
 def test_entries_run_as_written_without_the_library(monkeypatch, caplog):

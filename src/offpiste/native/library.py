@@ -96,25 +96,26 @@ def entry(name: str, *types: Type, returns: type[int] | type[float] | None = Non
         OffpisteError: there is no library, when it is called.
         TypeError: an array has another type or is not contiguous, when it is called.
     """
-    of_arguments: list[Any] = [kind if kind in (int, float) else np.dtype(kind) for kind in types]
-    bound = cache(lambda: _bound(name, of_arguments, returns))
+    # No comparison with `float`: NumPy's float64 equals it.
+    items = [None if isinstance(kind, type) else np.dtype(kind) for kind in types]
+    bound = cache(lambda: _bound(name, types, returns))
 
     def run(*arguments: Any) -> Any:
-        given = zip(arguments, of_arguments, strict=True)
-        return bound()(*(value if kind in (int, float) else _pointer(name, value, kind) for value, kind in given))
+        given = zip(arguments, items, strict=True)
+        return bound()(*(value if kind is None else _pointer(name, value, kind) for value, kind in given))
 
     return run
 
 
-_C_TYPES: Final = {int: ctypes.c_int64, float: ctypes.c_double, None: None}
+_C_TYPES: Final[dict[Any, Any]] = {int: ctypes.c_int64, float: ctypes.c_double, None: None}
 
 
-def _bound(name: str, types: list[Any], returns: type[int] | type[float] | None) -> Any:
+def _bound(name: str, types: tuple[Type, ...], returns: type[int] | type[float] | None) -> Any:
     of = library()
     if of is None:
         raise OffpisteError("the compiled library is missing, which this needs", how=MISSING)
     bound = getattr(of, f"offpiste_{name}")
-    bound.argtypes = [_C_TYPES.get(kind, ctypes.c_void_p) for kind in types]
+    bound.argtypes = [_C_TYPES[kind] if isinstance(kind, type) else ctypes.c_void_p for kind in types]
     bound.restype = _C_TYPES[returns]
     return bound
 
