@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from offpiste.native.library import entry
 from offpiste.simulation.world import grids, terrain
 from offpiste.simulation.world.grids import smooth_noise
 
@@ -44,6 +45,18 @@ def test_the_compiled_reading_is_the_plain_one_also_beyond_the_border():
     for (x, y), expected in zip(places, plain, strict=True):
         grids.properties_at(properties, X0, Y0, STEP, x, y, out)
         np.testing.assert_allclose(out, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_the_library_reads_the_ground_as_many_places_are_read():
+    read = entry("read_ground", "f8", "f8", int, int, float, float, float, "f8", int, "f8", "f8")
+    rng = np.random.default_rng(1)
+    elevation, properties = rng.normal(size=(NY, NX)), rng.normal(size=(NY, NX, 4))
+    places = np.concatenate((_places(beyond=5.0), [[np.nan, np.nan], [np.inf, -np.inf], [1e300, -1e300]]))
+    heights, found = np.empty(len(places)), np.empty((len(places), 4))
+    read(elevation, properties, NY, NX, X0, Y0, STEP, places, len(places), heights, found)
+    clamped = np.nan_to_num(places, nan=-1e6, posinf=1e6, neginf=-1e6)
+    for result, grid in ((heights, elevation), (found, properties)):
+        np.testing.assert_allclose(result, grids.read_grid(grid, (X0, Y0), STEP, clamped), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("x", [-np.inf, np.inf, np.nan, 1e300])

@@ -4,6 +4,9 @@
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
+
+#include <algorithm>
+#include <cmath>
 #ifdef __x86_64__
 #include <immintrin.h>
 #endif
@@ -83,4 +86,6 @@ OFFPISTE_ENTRY(add_by_cell)(
     for (long k = 0; k < count; k++)
         for (int e = 0; e < size; e++) sums[cells[k] * size + e] += rows[k * size + e];
 }
+
+#include "simulation/grids.h"
 #endif
