@@ -31,11 +31,11 @@ class MadeUpSensors(Log):
     def stamps(self, topic, *, stamps="header"):
         return TIMES
 
-    def images_at(self, topic, times, *, stamps="header"):
+    def images(self, topic, *, stamps="header", times=None):
         for number in np.searchsorted(TIMES, times):
             yield RawImage(float(TIMES[number]), "camera_front", np.full((4, 6, 3), number, np.uint8))
 
-    def clouds_at(self, topic, times, *, stamps="header"):
+    def clouds(self, topic, *, stamps="header", times=None):
         pose = self._layout.lidar
         for time in times.tolist():
             random = np.random.default_rng(int(10 * time))
@@ -53,6 +53,6 @@ def sensor_case(layout="mast"):
 
 def body_points(case, time=TIMES[0]):
     """Points of a cloud in the body frame, as the log gives them."""
-    (cloud,) = case.log.clouds_at("/lidar_top/points", np.array([time]))
+    (cloud,) = case.log.clouds("/lidar_top/points", times=np.array([time]))
     points = np.stack([cloud.points[axis] for axis in "xyz"], axis=1).astype(float)
     return points @ case.layout.lidar.rotation.T + case.layout.lidar.position

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from ruamel.yaml import YAML
 
 from offpiste.core.errors import LogError
-from offpiste.logs.log import LOG_FORMATS, Log, RawImage, Samples, Topic
+from offpiste.logs.log import LOG_FORMATS, Log, RawImage, Samples, Times, Topic
 from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel
 
@@ -84,9 +84,11 @@ class EurocLog(Log):
         distortion, model = tuple(found["distortion_coefficients"]), found["distortion_model"]
         return CameraModel(width, height, matrix, () if rectified else distortion, MODELS.get(model, model)), np.eye(4)
 
-    def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
+    def images(self, topic: str, *, stamps: str = "header", times: Times | None = None) -> Iterator[RawImage]:
         """Images of the PNG files that the table names."""
         for time, row in zip(self.stamps(topic), self._rows[topic], strict=True):
+            if times is not None and time not in times:
+                continue
             decoded = cv2.imread(str(self.path / "mav0" / topic / "data" / row[1].strip()), cv2.IMREAD_COLOR)
             yield RawImage(float(time), topic, None if decoded is None else cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB))
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from offpiste.inspection.misfit import turned
-from offpiste.logs.log import Log, RawCloud, RawImage, Samples, Topic
+from offpiste.logs.log import Log, RawCloud, RawImage, Samples, Times, Topic
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.simulation.sample import Pose
@@ -105,14 +105,11 @@ class ChangedLog(Log):
         """Clouds, changed."""
         return map(self._cloud, self._log.clouds(topic, **how))
 
-    def clouds_at(self, topic: str, times: Float[np.ndarray, " n"], **how: Any) -> Iterator[RawCloud]:
-        """Clouds, changed."""
-        return map(self._cloud, self._log.clouds_at(topic, times, **how))
-
-    def images_at(self, topic: str, times: Float[np.ndarray, " n"], **how: Any) -> Iterator[RawImage]:
+    def images(self, topic: str, *, times: Times | None = None, **how: Any) -> Iterator[RawImage]:
         """Images with their own stamps, and the pixels of those that are shown instead."""
+        times = self.stamps(topic) if times is None else times
         instead = times if self._shown is None else self._shown(times)
-        images = {one.time: one for one in self._log.images_at(topic, np.unique(instead), **how)}
+        images = {one.time: one for one in self._log.images(topic, times=np.unique(instead), **how)}
         for time, other in zip(times.tolist(), instead.tolist(), strict=True):
             yield replace(images[other], time=time)
 

@@ -130,7 +130,7 @@ class AmongWalls(MemoryLog):
     def frame(self, topic: str) -> str:
         return "lidar"
 
-    def clouds(self, topic: str, *, stamps: str = "header") -> Iterator[RawCloud]:
+    def clouds(self, topic: str, *, stamps: str = "header", times: np.ndarray | None = None) -> Iterator[RawCloud]:
         random, (time, odom) = np.random.default_rng(0), self.true.data["odom"]
         yaw = np.unwrap(2 * np.arctan2(odom["qz"], odom["qw"]))
         for at in self.times.tolist():
@@ -141,7 +141,8 @@ class AmongWalls(MemoryLog):
                 seen[wall, axis] = 14 * np.round(seen[wall, axis] / 14)
             points = (seen - here - [0, 0, 2]) @ Rotation.from_euler("z", turn).as_matrix()
             records = np.rec.fromarrays(points.astype(np.float32).T, names="x, y, z")
-            yield RawCloud(at, "lidar", np.asarray(records))
+            if times is None or at in times:
+                yield RawCloud(at, "lidar", np.asarray(records))
 
 
 def among_walls(log: MemoryLog) -> Inspection:

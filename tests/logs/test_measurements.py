@@ -24,7 +24,7 @@ from offpiste.cli import main
 with contextlib.suppress(SystemExit):
     main(["--version"])
 from offpiste.logs.measurements import decoded_picture
-picture = decoded_picture(np.fromfile(sys.argv[1], np.uint8), grey=True)
+picture = decoded_picture(np.fromfile(sys.argv[1], np.uint8), 0)
 print("" if picture is None else picture.shape)
 """
 

@@ -12,7 +12,7 @@ from offpiste.core.conventions import GRAVITY
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs import Drive, open_log, read_drive
 from offpiste.logs.formats.bag import BagLog
-from offpiste.logs.ground_truth import GROUND_PROPERTIES, read_truth
+from offpiste.logs.ground_truth import GROUND_PROPERTIES, WHEEL, WHEELS_TOPIC, read_truth_map
 from offpiste.logs.ros.sensor_messages import points_from_message
 from offpiste.logs.ros.writer import McapWriter, message_types
 from offpiste.rig.camera import CameraModel
@@ -88,14 +88,20 @@ def test_imu_measures_gravity_and_lateral_acceleration(clean: Path) -> None:
 
 
 def test_truth_is_read_back(clean: Path) -> None:
-    truth, world = read_truth(clean), small_world()
-    np.testing.assert_allclose(truth.time - START_NS / 1e9, true("time"), atol=5e-7)
-    for name in ("contact", "properties", "kind", "load", "slip_ratio", "slip_angle"):
-        np.testing.assert_array_equal(getattr(truth, name), [getattr(s.truth, name) for s in samples()], err_msg=name)
-    assert (truth.map.origin, truth.map.resolution) == (world.origin, world.resolution)
-    np.testing.assert_array_equal(truth.map.layers["elevation"], world.elevation)
+    truth, world = read_truth_map(clean), small_world()
+    time, messages = zip(*BagLog(clean).messages(WHEELS_TOPIC), strict=True)
+    wheels = np.stack([points_from_message(message) for message in messages])
+    assert wheels.dtype == WHEEL
+    np.testing.assert_allclose(np.array(time) - START_NS / 1e9, true("time"), atol=5e-7)
+    for name in ("kind", "load", "slip_ratio", "slip_angle"):
+        np.testing.assert_array_equal(wheels[name], [getattr(s.truth, name) for s in samples()], err_msg=name)
+    for name, columns in (("contact", ("x", "y", "z")), ("properties", GROUND_PROPERTIES)):
+        found = np.stack([wheels[column] for column in columns], axis=2)
+        np.testing.assert_array_equal(found, [getattr(s.truth, name) for s in samples()], err_msg=name)
+    assert (truth.origin, truth.resolution) == (world.origin, world.resolution)
+    np.testing.assert_array_equal(truth.layers["elevation"], world.elevation)
     for i, name in enumerate(GROUND_PROPERTIES):
-        np.testing.assert_array_equal(truth.map.layers[name], world.properties[:, :, i])
+        np.testing.assert_array_equal(truth.layers[name], world.properties[:, :, i])
 
 
 def test_gear_events_mountings_and_images_are_read_back(tmp_path: Path) -> None:

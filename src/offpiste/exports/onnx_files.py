@@ -265,7 +265,7 @@ def _picture(file: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
         found = "is no image" if picture is None else f"is an image of {picture.shape[1]} x {picture.shape[0]}"
         how = f"give rectified images of {width} x {height}, or their size: --size WIDTHxHEIGHT"
         raise OffpisteError(found, where=file, how=how)
-    return np.ascontiguousarray(picture[..., ::-1])
+    return np.asarray(picture)
 
 
 def sample_images(size: tuple[int, int] = SIZE) -> UInt8[Tensor, "2 h w 3"]:

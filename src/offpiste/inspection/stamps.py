@@ -12,9 +12,9 @@ from offpiste.inspection.recorded_log import Recorded, beginning
 from offpiste.inspection.several_clocks import ORIGINS, RECEIVE, arrivals, has_arrivals, other_origin
 from offpiste.inspection.timing import Timing, timing
 from offpiste.logs.channel import LEAST_KEPT
-from offpiste.rig.channels import ChannelSource, Clock
+from offpiste.rig.channels import SECONDS_PER_UNIT, ChannelSource, Clock
 from offpiste.rig.edits import Edit
-from offpiste.rig.labels import PER_SECOND, unit_by_rate
+from offpiste.rig.labels import unit_by_rate
 
 MISSING: Final = "samples are missing"
 _LATE = 2.0
@@ -223,7 +223,7 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
     findings: list[Finding] = []
     if not np.isfinite(seen.rate) or seen.backward > _DISORDER * seen.count:
         return findings  # unordered stamps have no rate
-    unit = unit_by_rate(seen.rate, clock.unit, seen.start * PER_SECOND[clock.unit])
+    unit = unit_by_rate(seen.rate, clock.unit, seen.start / SECONDS_PER_UNIT[clock.unit])
     if used and seen.count > 20 and unit != clock.unit:
         message = f"{seen.rate:.3g} samples a second, {seen.end - seen.start:.3g} s long"
         edit = Edit("clock.unit", unit)

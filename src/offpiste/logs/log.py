@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from shlex import quote
-from typing import Any, ClassVar, Final, NamedTuple, TypeVar
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
@@ -127,7 +127,8 @@ class SetBack(NamedTuple):
     by: float  # size of the step [s]
 
 
-_Raw = TypeVar("_Raw", RawImage, RawCloud)
+Times = Float[np.ndarray, " n"]
+"""Stamps of a topic [s]."""
 
 
 class Log(ABC):
@@ -227,25 +228,13 @@ class Log(ABC):
         """Return the frame of a topic's first message."""
         raise self.no_sensors()
 
-    def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
-        """Yield the images of a topic in file order."""
+    def images(self, topic: str, *, stamps: str = "header", times: Times | None = None) -> Iterator[RawImage]:
+        """Yield the images of a topic in file order, or those with some of its stamps; only these are decoded."""
         raise self.no_sensors()
 
-    def clouds(self, topic: str, *, stamps: str = "header") -> Iterator[RawCloud]:
-        """Yield the point clouds of a topic in file order."""
+    def clouds(self, topic: str, *, stamps: str = "header", times: Times | None = None) -> Iterator[RawCloud]:
+        """Yield the point clouds of a topic (see `images`)."""
         raise self.no_sensors()
-
-    def images_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawImage]:
-        """Yield the images with given stamps in file order; formats with an index read no others.
-
-        Args:
-            times: some of `stamps(topic)` [s].
-        """
-        return _picked(self.images(topic, stamps=stamps), times)
-
-    def clouds_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawCloud]:
-        """Yield the point clouds with given stamps (see `images_at`)."""
-        return _picked(self.clouds(topic, stamps=stamps), times)
 
     def no_sensors(self) -> LogError:
         """Return the error for a format without images and clouds."""
@@ -300,16 +289,6 @@ def contents_of(folder: Path) -> tuple[list[str], list[str]]:
     names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
     logs = [name for name in names if any(kind.recognises(folder / name) for kind in formats)]
     return logs, [name for name in names if name not in logs]
-
-
-def _picked(raw: Iterator[_Raw], times: Float[np.ndarray, " n"]) -> Iterator[_Raw]:
-    wanted, left = set(times.tolist()), len(times)
-    for one in raw:
-        if not left:
-            return
-        if one.time in wanted:
-            left -= 1
-            yield one
 
 
 def _formats(capability: str) -> str:

@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -117,24 +117,18 @@ def refuse_rough(log: Log, entries: Mapping[str, CameraSource | LidarSource]) ->
             raise LogError(what, where=log.path, how=how)
 
 
-def decoded_picture(
-    data: UInt8[np.ndarray, " n"], *, grey: bool = False, as_stored: bool = False
-) -> Shaped[np.ndarray, "h w *c"] | None:
-    """Decode an image file to BGR or grey; None if it is damaged or larger than the limit.
+def decoded_picture(data: UInt8[np.ndarray, " n"], mode: int = cv2.IMREAD_COLOR) -> Any:
+    """Decode an image file to RGB of 8 bits, or by another `mode` of OpenCV; None if damaged or above the limit.
 
     The header is checked first, because a few of its bytes could ask for gigabytes.
-
-    Args:
-        as_stored: keep the channels and the depth of the file instead of converting them to 8 bits.
     """
     if not 0 < _pixels_of(data) <= MOST_PIXELS:
         return None
-    mode = cv2.IMREAD_UNCHANGED if as_stored else cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR
     try:
         decoded = cv2.imdecode(data, mode)
     except cv2.error:
         return None
-    return None if decoded is None else np.asarray(decoded)
+    return cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB) if decoded is not None and mode == cv2.IMREAD_COLOR else decoded
 
 
 def _pixels_of(data: UInt8[np.ndarray, " n"]) -> int:

@@ -96,10 +96,8 @@ class SensorLog:
         """Yield the images or clouds of a sensor, with given recorded stamps or all."""
         log, topic, stamps = self._log, self._sensor(name).source.topic, self.rig.clock.stamps
         if name in self.lidars:
-            clouds = log.clouds(topic, stamps=stamps) if times is None else log.clouds_at(topic, times, stamps=stamps)
-            return self._clouds(self.lidars[name], clouds)
-        images = log.images(topic, stamps=stamps) if times is None else log.images_at(topic, times, stamps=stamps)
-        return self._images(self.cameras[name], images)
+            return self._clouds(self.lidars[name], log.clouds(topic, stamps=stamps, times=times))
+        return self._images(self.cameras[name], log.images(topic, stamps=stamps, times=times))
 
     def stamps(self, name: str) -> Float[np.ndarray, " n"]:
         """Return the times of a sensor's messages in file order [s], without decoding them."""

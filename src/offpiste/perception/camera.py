@@ -134,7 +134,7 @@ def own_body(camera: Camera) -> Bool[np.ndarray, "h w"]:
     if camera.source.mask:
         path = Path(camera.source.mask)
         content = np.fromfile(path, dtype=np.uint8) if path.is_file() else np.empty(0, np.uint8)
-        picture = decoded_picture(content, grey=True)
+        picture = decoded_picture(content, cv2.IMREAD_GRAYSCALE)
         if picture is None:
             raise PerceptionError("cannot be read as a picture", where=path, how="give a PNG of the camera's size")
         if picture.shape != (height, width):

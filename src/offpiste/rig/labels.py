@@ -12,11 +12,9 @@ from jaxtyping import Float
 
 from offpiste.core.channels import in_english
 from offpiste.core.errors import RigError
-from offpiste.rig.channels import known_channels, unit_factor
+from offpiste.rig.channels import SECONDS_PER_UNIT, known_channels, unit_factor
 from offpiste.rig.rig import Rig
 
-PER_SECOND: Final = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "d": 1 / 86_400}
-"""Time units per second; spreadsheets count days."""
 _SINCE_1970: Final = (1.0e9, 4.1e9)
 """Seconds from 1970 to 2001 and to 2100."""
 COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
@@ -156,25 +154,20 @@ def unit_by_rate(rate: float, unit: str, stamp: float = 0.0) -> str:
         unit: assumed unit, kept if the rate is plausible.
         stamp: one recorded stamp, to detect time since 1970.
     """
-    for name, per_second in PER_SECOND.items():
-        since, samples = stamp / per_second, rate * per_second / PER_SECOND[unit]
+    for name, seconds in SECONDS_PER_UNIT.items():
+        since, samples = stamp * seconds, rate * SECONDS_PER_UNIT[unit] / seconds
         if _SINCE_1970[0] < since < _SINCE_1970[1] and RATES[0] < samples < RATES[1]:
             return name
     if not np.isfinite(rate) or RATES[0] < rate < RATES[1]:
         return unit
-    wanted = np.log10(PER_SECOND[unit] * 50 / rate)
-    return min(PER_SECOND, key=lambda name: abs(np.log10(PER_SECOND[name]) - wanted))
+    wanted = np.log10(SECONDS_PER_UNIT[unit] * rate / 50)
+    return min(SECONDS_PER_UNIT, key=lambda name: abs(np.log10(SECONDS_PER_UNIT[name]) - wanted))
 
 
 def are_since_1970(stamps: Float[np.ndarray, " n"]) -> bool:
     """Return whether all stamps are times since 1970, between 2001 and 2100, in s, ms, us or ns."""
     first, last = _SINCE_1970
     return any(((first * each < stamps) & (stamps < last * each)).all() for each in (1.0, 1e3, 1e6, 1e9))
-
-
-def time_unit(unit: str) -> str:
-    """Return a unit of time as a clock takes it; "" for other units."""
-    return unit if unit in PER_SECOND else ""
 
 
 _AXIS_WORDS: Final = tuple(

@@ -22,7 +22,7 @@ def given(name, strength, seed=1):
 
 def read(case):
     """All that a fault may change."""
-    shown = [int(image.pixels[0, 0, 0]) for image in case.log.images_at("/camera_front/image/compressed", TIMES)]
+    shown = [int(image.pixels[0, 0, 0]) for image in case.log.images("/camera_front/image/compressed", times=TIMES)]
     height = case.log.read("/odometry", ["pose.pose.position.z"]).values
     return case.rig, body_points(case).round(4).tolist(), shown, height.tolist()
 

@@ -12,7 +12,9 @@ from experiments.probe.cells import GROUND, SeenCells, save_cells, see_cells
 from experiments.probe.scores import fit_ridge, pool, probe_rows
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.errors import PerceptionError
-from offpiste.logs.ground_truth import GROUND_PROPERTIES, read_truth
+from offpiste.logs import open_log
+from offpiste.logs.ground_truth import GROUND_PROPERTIES, WHEELS_TOPIC
+from offpiste.logs.ros.sensor_messages import points_from_message
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
 from offpiste.perception.pca import Moments, fit, save_pca
@@ -88,13 +90,17 @@ def filterbank_looking() -> FeatureExtractor:
 def test_cells_carry_the_truth(tmp_path: Path) -> None:
     log = tmp_path / "mojave-3.mcap"
     simulate(DriveSettings(WorldSettings("mojave", seed=3, size=120.0, resolution=0.5), 5.0, seed=1), log)
-    seen, truth = see_cells(log, load_rig("proving_ground"), filterbank_looking()), read_truth(log)
+    seen, truth = (
+        see_cells(log, load_rig("proving_ground"), filterbank_looking()),
+        list(open_log(log).messages(WHEELS_TOPIC)),
+    )
     assert seen.features.shape == (8, len(seen.row), 5)
     assert seen.valid[0].mean() > 0.5
     assert (np.isfinite(seen.colour).all(axis=2) == seen.valid).all()
     np.testing.assert_allclose(seen.ground[:, : len(GROUND) - 1].sum(axis=1), 1.0, atol=1e-4)
     # What the tyres felt when they entered the cell, but for half a cell of ground that changes.
-    felt = np.interp(seen.row * 0.02, truth.time - truth.time[0], truth.properties[:, :, 0].mean(axis=1))
+    friction = [points_from_message(message)[GROUND_PROPERTIES[0]].mean() for _, message in truth]
+    felt = np.interp(seen.row * 0.02, [time - truth[0][0] for time, _ in truth], friction)
     assert np.corrcoef(felt, seen.properties[:, 0])[0, 1] > 0.7
 
 

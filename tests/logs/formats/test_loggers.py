@@ -8,7 +8,6 @@ import pytest
 from offpiste.core.errors import LogError
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.logs import open_log
-from offpiste.rig.channels import Clock
 
 RACELOGIC = """File created on 15/04/2023 at 10:12:13
 
@@ -32,9 +31,6 @@ ROWS = "\n".join(
     f"011 1012{i // 20:02d}.{5 * (i % 20):02d} +03124.200{i:02d} +00060.899{i:02d} 010.000 050.20 +00120.01 +00.000 "
     f"+{i}.0E+00 +5.0E+01"
     for i in range(60)
-)
-RACECAPTURE = (
-    '"Interval"|"ms"|0|0|1,"Utc"|"ms"|0|0|1,"Yaw"|"Deg/Sec"|-120|120|50,"Lap"|""|0|0|1\n20,17,1.5,0\n40,37,2.5,0\n'
 )
 
 
@@ -86,7 +82,7 @@ def test_a_file_of_racechrono_has_its_units_and_tells_two_columns_of_one_name_ap
     log = open_log(path)
     topic = log.topics[""]
     assert topic.fields == ("timestamp", "fragment_id", "bearing", "speed", "accelerator_pos", "speed (103: obd)")
-    assert topic.units == {"timestamp": "s", "bearing": "deg", "speed": "m/s", "accelerator_pos": "percent",
+    assert topic.units == {"bearing": "deg", "speed": "m/s", "accelerator_pos": "percent",
                            "speed (103: obd)": "km/h"}  # fmt: skip
     samples = log.read("", ["speed", "speed (103: obd)"])
     np.testing.assert_array_equal(samples.values, [[10.0, 36.1], [10.5, 38.2], [11.0, 40.3]])
@@ -108,11 +104,3 @@ def test_a_file_of_racelogic_has_degrees_to_the_east(tmp_path: Path, units: str,
     np.testing.assert_allclose(samples.values[0], [3124.2 / 60, -60.899 / 60, 0.0])
     np.testing.assert_allclose(np.diff(samples.time), 0.05, atol=1e-6)
     assert samples.values[-1, 2] == 59.0
-
-
-def test_a_file_of_racecapture_has_its_units(tmp_path: Path) -> None:
-    path = tmp_path / "rc_1.csv"
-    path.write_text(RACECAPTURE)
-    log = open_log(path, clock=Clock(column="Interval (ms)", unit="ms"))
-    assert log.topics[""].fields == ("Interval (ms)", "Utc (ms)", "Yaw (Deg/Sec)", "Lap")
-    assert log.read("", ["Yaw (Deg/Sec)"]).values[:, 0].tolist() == [1.5, 2.5]

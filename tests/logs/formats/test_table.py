@@ -12,8 +12,7 @@ from offpiste.core.errors import LogError
 from offpiste.logs.channel import read_channel
 from offpiste.logs.formats.table import TableLog
 from offpiste.logs.log import open_log
-from offpiste.rig.channels import ChannelSource, Clock
-from offpiste.rig.labels import PER_SECOND
+from offpiste.rig.channels import SECONDS_PER_UNIT, ChannelSource, Clock
 
 DART = {
     "81_circles_tape_and_tiles/car_1_Datarecording_09_09_2024_17_58_23steer_neg03_ramp.csv": 6998,
@@ -84,7 +83,7 @@ def test_the_unit_of_a_clock_follows_from_its_name_rate_or_size(tmp_path, name, 
     log = table(tmp_path, f"odometer,{name},x\n{rows}")
     assert log.clock == Clock(column=name, unit=unit)
     assert TableLog.open(log.path, Clock(column=name, unit="")).clock == log.clock  # type: ignore[arg-type]
-    np.testing.assert_allclose(np.diff(log.stamps("")), step / PER_SECOND[unit], rtol=2e-2, atol=1e-6)
+    np.testing.assert_allclose(np.diff(log.stamps("")), step * SECONDS_PER_UNIT[unit], rtol=2e-2, atol=1e-6)
 
 
 def test_a_dash_is_an_empty_cell(tmp_path: Path) -> None:

@@ -91,13 +91,13 @@ def test_picked_clouds_and_images_are_those_of_the_stream(tmp_path):
     log, plain = both(record(tmp_path / "log.mcap", messages))
     wanted = log.stamps("/points")[[3, 4, 17]]
     for one in (log, plain):
-        assert [cloud.time for cloud in one.clouds_at("/points", wanted)] == wanted.tolist()
-        assert [image.time for image in one.images_at("/image", log.stamps("/image")[[0, 28]])] == [
+        assert [cloud.time for cloud in one.clouds("/points", times=wanted)] == wanted.tolist()
+        assert [image.time for image in one.images("/image", times=log.stamps("/image")[[0, 28]])] == [
             100 * SECOND / SECOND + 0.1,
             log.stamps("/image")[28],
         ]
     all_images = {image.time: image.pixels for image in log.images("/image")}
-    (image,) = log.images_at("/image", log.stamps("/image")[[5]])
+    (image,) = log.images("/image", times=log.stamps("/image")[[5]])
     np.testing.assert_array_equal(image.pixels, all_images[image.time])
 
 

@@ -16,7 +16,7 @@ from rosbags.interfaces import Connection
 
 from offpiste.core.errors import LogError, SeveralLogs
 from offpiste.logs.clock_drift import common_step
-from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, SetBack, Topic, contents_of
+from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, SetBack, Times, Topic, contents_of
 from offpiste.logs.ros.bag_files import (
     MAGIC,
     Head,
@@ -287,23 +287,15 @@ class BagLog(Log):
             raise LogError(f"topic '{topic}' is empty", where=self.path, how="remove the sensor from the rig")
         return frame_of(message)
 
-    def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
-        """Yield images of sensor_msgs/CompressedImage and Image."""
-        return images_of(self._typed(topic, _IMAGE_TYPES, stamps), topic)
-
-    def clouds(self, topic: str, *, stamps: str = "header") -> Iterator[RawCloud]:
-        """Yield point clouds of sensor_msgs/PointCloud2."""
-        return clouds_of(self._typed(topic, _CLOUD_TYPES, stamps))
-
-    def images_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawImage]:
-        """Yield images by the file's index, without reading others."""
+    def images(self, topic: str, *, stamps: str = "header", times: Times | None = None) -> Iterator[RawImage]:
+        """Yield images of sensor_msgs/CompressedImage and Image; some `times` by the file's index."""
         return images_of(self._typed(topic, _IMAGE_TYPES, stamps, times), topic)
 
-    def clouds_at(self, topic: str, times: Float[np.ndarray, " n"], *, stamps: str = "header") -> Iterator[RawCloud]:
-        """Yield point clouds by the file's index, without reading others."""
+    def clouds(self, topic: str, *, stamps: str = "header", times: Times | None = None) -> Iterator[RawCloud]:
+        """Yield point clouds of sensor_msgs/PointCloud2; some `times` by the file's index."""
         return clouds_of(self._typed(topic, _CLOUD_TYPES, stamps, times))
 
-    def _at(self, topic: Topic, times: Float[np.ndarray, " n"], stamps: str) -> Iterator[tuple[float, Any]]:
+    def _at(self, topic: Topic, times: Times, stamps: str) -> Iterator[tuple[float, Any]]:
         """Yield the messages with given stamps, found by their arrival in an indexed file."""
         columns = self._columns(topic)
         if columns is None:
@@ -322,7 +314,7 @@ class BagLog(Log):
                             yield stamp_of(received, message, stamps), message
 
     def _typed(
-        self, topic: str, types: Sequence[str], stamps: str = "header", times: Float[np.ndarray, " n"] | None = None
+        self, topic: str, types: Sequence[str], stamps: str = "header", times: Times | None = None
     ) -> Iterator[tuple[float, Any]]:
         """Yield the messages, at some `times` or all, of a topic that must have one of these types."""
         result = self.topics.get(topic)

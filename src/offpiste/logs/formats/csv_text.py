@@ -1,4 +1,4 @@
-"""Text tables of any dialect: encodings, headers, separators, units, cells, and formats of car data loggers."""
+"""Text tables of any dialect: encodings, headers, separators, units, cells, and .vbo files of Racelogic."""
 
 import codecs
 import csv
@@ -43,8 +43,6 @@ _GEARS: Final = {
 """Letters of gears by their words in logs."""
 _UTF_16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 """Byte order marks of UTF-16, as spreadsheets write it."""
-_MARKS: Final = (b"[column names]", b'"|"', b"Format,3")
-"""Beginnings of texts of known data loggers."""
 _DATE_AND_TIME: Final = re.compile(
     r"(?<!\S)(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}) +(\d\d?:\d\d:\d\d[.\d]*)(?!\S)"
 )
@@ -58,10 +56,6 @@ _RACELOGIC: Final = {
 """Standard columns of Racelogic files."""
 _MINUTES: Final = {"lat": 1 / 60, "long": -1 / 60}
 """Degrees per minute of arc; longitudes count to the west."""
-_QUOTED: Final = re.compile(r'"([^"|]*)"\|"([^"|]*)"(\|[^,|]*)*')
-"""Column of RaceCapture: name, unit, range and rate."""
-_SOURCE: Final = re.compile(r"\d+: .+")
-"""Source of a column of RaceChrono, such as `103: obd`."""
 _CLOCK: Final = re.compile(
     r"(?:(?P<date>.*?)[T ,_-]+|)(?P<hours>\d{1,2}):(?P<minutes>\d\d):(?P<seconds>\d\d(?:[.,:]\d+)?)"
     r"\s*(?P<half>[ap])?\.?(?:m\.?)?\s*(?:z|utc|gmt|[+-]\d\d:?\d\d)?",
@@ -146,10 +140,15 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
         raise LogError(f"no header line above {len(names)} columns of numbers", where=path, how=how)
     if spaces:
         names = _as_many_as_cells(names, header, rows[0], path)
+    below = [*_cells(rows[:2], delimiter, path), [], []]
+    own = _row_of_units(names, below[0])
+    words = below[1] if own and all(number_of(cell) is None for cell in below[1]) else []
+    between = bool(own) + any(words)
+    if len(set(names)) < len(names):  # descriptions tell columns of one name apart
+        pairs = zip(names, [*words, *[""] * len(names)], strict=False)
+        names = [f"{name} ({word})" if word and name in names[:k] else name for k, (name, word) in enumerate(pairs)]
     check_columns(path, names)
-    units |= _row_of_units(names, (_cells(rows[:1], delimiter, path) or [[]])[0])
-    words = (_cells(rows[1:2], delimiter, path) or [[]])[0] if units else []
-    between = bool(units) + (any(words) and all(number_of(cell) is None for cell in words))
+    units |= {name: unit for name, unit in zip(names, own, strict=False) if unit}
     as_text = pa_csv.ConvertOptions(
         column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True, null_values=_NOTHING
     )
@@ -184,8 +183,8 @@ def _without_units(table: pa.Table, units: dict[str, str]) -> pa.Table:
     return table
 
 
-def _row_of_units(names: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
-    """Return units by column if the row below the header holds units; empty for data.
+def _row_of_units(names: Sequence[str], cells: Sequence[str]) -> list[str]:
+    """Return the unit of each column ("" if unknown) if the row below the header holds units; empty for data.
 
     A row of units has no number but 1 (no unit), and at least half of its non-empty cells are units.
     """
@@ -193,8 +192,8 @@ def _row_of_units(names: Sequence[str], cells: Sequence[str]) -> dict[str, str]:
     units = [unit_of(cell) for cell in said]
     is_data = len(cells) != len(names) or any(number_of(cell) is not None and cell.strip() != "1" for cell in said)
     if is_data or not any(units) or 2 * sum(unit is not None for unit in units) < len(said):
-        return {}
-    return {name: unit for name, cell in zip(names, cells, strict=True) if (unit := unit_of(cell))}
+        return []
+    return [unit_of(cell) or "" for cell in cells]
 
 
 def _are_numbers(line: str, separators: str) -> bool:
@@ -241,17 +240,18 @@ def _cells(lines: Sequence[str], delimiter: str, path: Path) -> list[list[str]]:
 def _lines_above_header(table: Sequence[Sequence[str]]) -> int:
     """Return the number of lines before the header.
 
-    All cells of a header are different texts, and all rows below it, except for units, have a number and as many cells.
+    All cells of a header are text. All rows below it have as many cells and, except for units and descriptions, a
+    number.
     """
     rows = [[cell.strip() for cell in cells] for cells in table]
     for above, names in enumerate(rows):
         below = [cells for cells in rows[above + 1 :] if any(cells)]
-        numbers = [any(number_of(cell) is not None for cell in cells) for cells in below]
-        is_header = len(names) > 1 and all(names) and len(set(names)) == len(names)
-        if not is_header or any(number_of(name) is not None for name in names) or not all(numbers[1:]):
+        if len(names) < 2 or not all(names) or any(number_of(name) is not None for name in names):
             continue
-        if any(numbers) and all(len(cells) == len(names) for cells in below[:-1]):  # the last one may be cut
-            return above
+        numbers = [any(number_of(cell) is not None for cell in cells) for cells in below]
+        words = 2 if below and _row_of_units(names, below[0]) else 1
+        if any(numbers) and all(numbers[words:]) and all(len(cells) == len(names) for cells in below[:-1]):
+            return above  # the last row may be cut
     return 0
 
 
@@ -266,28 +266,26 @@ def _skip_or_error(row: pa_csv.InvalidRow, text: bytes, notes: list[str]) -> str
 
 
 def _text(path: Path, notes: list[str], size: int = -1) -> bytes:
-    """Read a table's text as UTF-8 with a line of names, from UTF-16, cp1252 (with a note) or a logger's format."""
+    """Read the first `size` bytes of a table as UTF-8, from UTF-8, UTF-16, cp1252 (with a note) or a .vbo file."""
     try:
         with path.open("rb") as file:
             read = file.read(size)
     except OSError as error:
         raise LogError(f"cannot be opened: {error.strerror}", where=path) from error
-    if read.startswith(_UTF_16):
-        text = read.decode("utf-16", "replace")
-        return (_as_table(text) or text).encode()
-    known = any(mark in read[:_BEGIN] for mark in _MARKS)
+    is_racelogic = b"[column names]" in read[:_BEGIN]
     try:
-        text = codecs.getincrementaldecoder("utf-8-sig")().decode(read, final=len(read) != size)
-        table = _as_table(text) if known else None
-        return read if table is None else table.encode()
+        if read.startswith(_UTF_16):
+            text = read.decode("utf-16", "replace")
+        else:
+            text = codecs.getincrementaldecoder("utf-8-sig")().decode(read)  # without a character cut at the end
     except UnicodeDecodeError:
-        table = _as_table(read.decode("latin-1"))  # as older loggers write degrees
-    if not known:
-        notes.append("the text is not UTF-8, and read as cp1252; where names look wrong, save it as UTF-8")
-    try:
-        return (table or read.decode("cp1252")).encode()
-    except UnicodeDecodeError as error:
-        raise LogError("the text is neither UTF-8 nor cp1252", where=path, how="save it as UTF-8") from error
+        if not is_racelogic:
+            notes.append("the text is not UTF-8, and read as cp1252; where names look wrong, save it as UTF-8")
+        try:
+            text = read.decode("cp1252")
+        except UnicodeDecodeError as error:
+            raise LogError("the text is neither UTF-8 nor cp1252", where=path, how="save it as UTF-8") from error
+    return ((_of_racelogic(text) if is_racelogic else None) or text).encode()
 
 
 def _first_lines(content: bytes, path: Path) -> list[str]:
@@ -343,23 +341,19 @@ def _past_midnight(times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     return result
 
 
-def shows_clock_face(stamps: Float[np.ndarray, " n"]) -> bool:
-    """Return whether stamps have the digits HHMMSS.sss: each minute skips 60 to 99."""
+def without_clock_face(stamps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Return stamps, those with the digits HHMMSS.sss as seconds from midnight: each minute skips 60 to 99."""
     known = stamps[np.isfinite(stamps)]
-    if not len(known) or known.min() < 0 or known.max() >= 240_000:
-        return False
-    if (known % 100).max() >= 60 or (known // 100 % 100).max() >= 60:
-        return False
-    steps = np.diff(known)
-    minutes = np.diff(known // 100) != 0
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    return bool(minutes.any() and usual > 0 and abs(float(np.median(steps[minutes] % 100)) - 40 - usual) < 2 * usual)
-
-
-def seconds_of_the_day(stamps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Return the seconds from midnight of stamps HHMMSS.sss."""
-    hours, minutes = stamps // 10_000, stamps // 100 % 100
-    return _past_midnight(3600 * hours + 60 * minutes + stamps % 100)
+    seconds, minutes, hours = known % 100, known // 100 % 100, known // 10_000
+    if len(known) < 2 or hours.min() < 0 or hours.max() >= 24 or seconds.max() >= 60 or minutes.max() >= 60:
+        return stamps
+    steps, turns = np.diff(known), np.diff(known // 100) != 0
+    usual = float(np.median(steps))
+    if not turns.any() or usual <= 0 or abs(float(np.median(steps[turns] % 100)) - 40 - usual) >= 2 * usual:
+        return stamps
+    result = np.full(len(stamps), np.nan)
+    result[np.isfinite(stamps)] = 3600 * hours + 60 * minutes + seconds
+    return _past_midnight(result)
 
 
 def _in_one_space(text: bytes) -> bytes:
@@ -377,8 +371,9 @@ def _of_racelogic(text: str) -> str | None:
     names = sections["column names"].split()
     units = [line.strip() for line in sections.get("channel units", "").splitlines() if line.strip()]
     # Files list the units of all columns, or of the last columns only.
-    unit_of = dict(zip(reversed(names), reversed(units), strict=False))
-    lines = [[_RACELOGIC.get(name.lower()) or _with_unit(name, unit_of.get(name, "")) for name in names]]
+    known = {name: f"{name} ({unit})" for name, unit in zip(reversed(names), reversed(units), strict=False)}
+    known = {name: label.removesuffix(" ((null))") for name, label in known.items()}
+    lines = [[_RACELOGIC.get(name.lower()) or known.get(name, name) for name in names]]
     factors = {place: _MINUTES[name.lower()] for place, name in enumerate(names) if name.lower() in _MINUTES}
     for line in filter(str.strip, sections["data"].splitlines()):
         cells = line.split()
@@ -387,40 +382,3 @@ def _of_racelogic(text: str) -> str | None:
                 cells[place] = repr(factor * float(cells[place]))
         lines.append(cells)
     return "\n".join(map(",".join, lines)) + "\n"
-
-
-def _with_unit(name: str, unit: str) -> str:
-    return name if unit in ("", "(null)") else f"{name} ({unit})"
-
-
-def _of_racecapture(text: str) -> str | None:
-    """Convert a .csv file of RaceCapture, whose names are followed by units, ranges and rates."""
-    header, _, rows = text.partition("\n")
-    if not _QUOTED.match(header) or "," not in header or "|" in rows.partition("\n")[0]:
-        return None
-    return _QUOTED.sub(lambda column: _with_unit(column[1], column[2]), header) + "\n" + rows
-
-
-def _of_racechrono(text: str) -> str | None:
-    """Convert a .csv file of RaceChrono, whose names are followed by rows of units and sources."""
-    lines = text.splitlines()
-    try:
-        rows = list(csv.reader(lines[:_MOST_PREAMBLE]))
-    except csv.Error:  # a cell that is too long
-        return None
-    sources = (at for at, cells in enumerate(rows) if any(cells) and all(map(_SOURCE.fullmatch, filter(None, cells))))
-    if (at := next(sources, 0)) < 2:
-        return None
-    names, units, source = rows[at - 2 : at + 1]
-    named = [
-        f"{name} ({of})" if name in names[:k] else name for k, (name, of) in enumerate(zip(names, source, strict=False))
-    ]
-    known = ["s" if unit == "unix time" else unit if unit_of(unit) else "" for unit in units]
-    header = io.StringIO(newline="")
-    csv.writer(header, lineterminator="\n").writerows([named, known] if any(known) else [named])
-    return header.getvalue() + "\n".join(lines[at + 1 :]) + "\n"
-
-
-def _as_table(text: str) -> str | None:
-    """Return a text of a known data logger with one line of names above its rows; None for other texts."""
-    return _of_racelogic(text) or _of_racecapture(text) or _of_racechrono(text)

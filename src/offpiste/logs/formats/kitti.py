@@ -5,14 +5,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from offpiste.core.errors import LogError
 from offpiste.core.limits import read_small
-from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Topic
+from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Times, Topic
 from offpiste.logs.measurements import decoded_picture
 from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel
@@ -127,18 +126,19 @@ class KittiLog(Log):
         """Return the stamps of existing frames [s]."""
         return self.frame_times(topic)
 
-    def images(self, topic: str, *, stamps: str = "header") -> Iterator[RawImage]:
+    def images(self, topic: str, *, stamps: str = "header", times: Times | None = None) -> Iterator[RawImage]:
         """Yield the images of PNG or JPEG files."""
         for time, path in zip(self.stamps(topic), self.files(topic).values(), strict=True):
-            decoded = decoded_picture(np.fromfile(path, np.uint8))
-            pixels = None if decoded is None else np.asarray(cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB), np.uint8)
-            yield RawImage(float(time), topic, pixels)
+            if times is None or time in times:
+                yield RawImage(float(time), topic, decoded_picture(np.fromfile(path, np.uint8)))
 
-    def clouds(self, topic: str, *, stamps: str = "header") -> Iterator[RawCloud]:
+    def clouds(self, topic: str, *, stamps: str = "header", times: Times | None = None) -> Iterator[RawCloud]:
         """Yield scans (.bin, or .txt in unsynchronised drives) with the time of each point from its azimuth."""
         begins, ends = (self.frame_times(topic, f"timestamps_{edge}.txt") for edge in ("start", "end"))
         files = self.files(topic).values()
         for time, begin, end, path in zip(self.stamps(topic), begins, ends, files, strict=True):
+            if times is not None and time not in times:
+                continue
             values = _scan(path)
             points = np.zeros(len(values), POINT)
             points["x"], points["y"], points["z"], points["intensity"] = values.T

@@ -24,13 +24,12 @@ from offpiste.logs.formats.csv_text import (
     has_numbers,
     number_of,
     read_csv,
-    seconds_of_the_day,
-    shows_clock_face,
     unknown_words,
+    without_clock_face,
 )
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
-from offpiste.rig.channels import Clock
-from offpiste.rig.labels import PER_SECOND, parse_label, time_unit, unit_by_rate, without_comment
+from offpiste.rig.channels import SECONDS_PER_UNIT, Clock
+from offpiste.rig.labels import parse_label, unit_by_rate, without_comment
 
 _TIME_NAME = re.compile(
     r"^(t|secs?|seconds?|stamp)(?![a-z])|time|zeit|(?<![a-z])((gps|gnss)?i?tow([mun]?s)?|epoch|unix)(?![a-z])"
@@ -70,8 +69,9 @@ class TableLog(Log):
     has_clock_unit = True
 
     def __init__(self, path: Path, *, clock_column: str = "", clock_unit: str = "") -> None:
-        if clock_unit and clock_unit not in PER_SECOND:
-            raise LogError(f"unknown clock unit '{clock_unit}'", where=path, how=f"use one: {', '.join(PER_SECOND)}")
+        if clock_unit and clock_unit not in SECONDS_PER_UNIT:
+            how = f"use one: {', '.join(SECONDS_PER_UNIT)}"
+            raise LogError(f"unknown clock unit '{clock_unit}'", where=path, how=how)
         self.path = path
         self._is_csv = path.suffix.lower() != ".parquet"
         notes: list[str] = []
@@ -92,7 +92,7 @@ class TableLog(Log):
             raise NoClock("no column looks like time", where=path, how=how)
         if self._clock not in names:
             raise NoClock(f"no column '{clock_column}' for the clock", where=path, how=f"it has: {listed}")
-        self._unit = clock_unit or time_unit(self._units.get(self._clock, "")) or self._unit_by_rate()
+        self._unit = self._unit_of_stamps(self._clock) or self._unit_by_rate()
         if not clock_unit and self.clock.unit != "s":
             notes.append(f"'{self._clock}' is read in {self.clock.unit}; clock.unit in the rig can say otherwise")
         self._unread = {name: self._why_unread(name) for name in names if name not in self._columns}
@@ -176,7 +176,9 @@ class TableLog(Log):
         return bool(high - low < _EVENLY * middle and not (steps == 1).all())
 
     def _unit_of_stamps(self, name: str) -> str:
-        return self._unit or time_unit(self._units.get(name, "")) or "s"
+        """Return the given unit, or else the header's; "" if there is none."""
+        unit = self._units.get(name, "")
+        return self._unit or (unit if unit in SECONDS_PER_UNIT else "")
 
     def _unit_by_rate(self) -> str:
         stamps = self._stamps(self._clock)
@@ -207,16 +209,15 @@ class TableLog(Log):
         numbers = self._numbers(name)
         if nanoseconds := self._beside(name):
             return numbers + self._numbers(nanoseconds) / 1e9
-        per_second = 1.0 if _has_time_unit(column.type) else PER_SECOND[self._unit_of_stamps(name)]
-        numbers = np.where(np.abs(numbers) < _NO_TIME, numbers, np.nan) / per_second
-        return seconds_of_the_day(numbers) if shows_clock_face(numbers) else numbers
+        unit = "s" if _has_time_unit(column.type) else self._unit_of_stamps(name) or "s"
+        return without_clock_face(np.where(np.abs(numbers) < _NO_TIME, numbers, np.nan) * SECONDS_PER_UNIT[unit])
 
     def _numbers(self, name: str) -> Float[np.ndarray, " n"]:
         column = self._table[name]
         if pa.types.is_string(column.type):
             return self._parsed(name)
         if _has_time_unit(column.type):
-            return _floats(column.cast(pa.int64())) / PER_SECOND[column.type.unit]
+            return _floats(column.cast(pa.int64())) * SECONDS_PER_UNIT[column.type.unit]
         return _floats(column)
 
     def _parsed(self, name: str) -> Float[np.ndarray, " n"]:

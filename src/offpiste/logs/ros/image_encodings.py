@@ -97,7 +97,7 @@ def _decompressed(message: Any, topic: str) -> Pixels | None:
         raise LogError(f"{what} is not supported", how=f"record one of: {', '.join(_CODECS)}; or uncompressed")
     encoding = _encoding(name, topic) if name else None
     layout = _encoding(words[-1], topic) if len(words) > 1 else None
-    pixels = decoded_picture(np.asarray(message.data, np.uint8), as_stored=True)
+    pixels = decoded_picture(np.asarray(message.data, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None or pixels.dtype not in (np.uint8, np.uint16):
         return None
     if encoding is not None and encoding.depth == 16 and pixels.dtype == np.uint8:
