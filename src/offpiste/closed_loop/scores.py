@@ -17,8 +17,8 @@ from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.simulate import STUCK
-from offpiste.simulation.vehicle.drivetrain import engine_torque
 from offpiste.simulation.vehicle.parameters import VehicleParameters
+from offpiste.simulation.vehicle.physics import engine_torque
 
 DAMAGE = {"rollover", "collision with a tree"}
 """Events that damage the vehicle."""

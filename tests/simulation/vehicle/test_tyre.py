@@ -2,14 +2,26 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from offpiste.simulation.vehicle.forces import suspension_force
-from offpiste.simulation.vehicle.parameters import load_vehicle
-from offpiste.simulation.vehicle.tyre import brush_force, ground_under, relax, touch
+from offpiste.native.library import entry
+from offpiste.simulation.vehicle.parameters import RECORD, load_vehicle
 
-P = load_vehicle().as_record()
+P = load_vehicle()
+RECORDED = P.as_record()
+
+_ground_under = entry("ground_under", "f8", int, int, float, float, float, "f8", "f8", RECORD, "f8")
+_touch = entry("touch", "f8", "f8", "f8", float, "f8")
+_brush_force = entry("brush_force", *[float] * 6, "f8")
+_suspension_force = entry("suspension_force", *[float] * 7, RECORD, returns=float)
+relax = entry("relax", *[float] * 5, returns=float)
+
+
+def brush_force(*arguments):
+    force = np.empty(2)
+    _brush_force(*arguments, force)
+    return force
 
 
 def plane(a, b):
@@ -20,8 +32,10 @@ def plane(a, b):
 @pytest.mark.parametrize("heading", [0.0, 0.7, 2.0, -1.5])
 @pytest.mark.parametrize(("a", "b"), [(0.0, 0.0), (0.5, 0.0), (0.0, 0.3), (-0.4, 0.7)])
 def test_plane_is_found_whatever_the_heading(a, b, heading):
-    forward = (np.cos(heading), np.sin(heading), 0.2)
-    height, normal = ground_under(plane(a, b), 0.0, 0.0, 0.25, (5.1, 3.3, 9.0), forward, P)
+    centre, forward = np.array((5.1, 3.3, 9.0)), np.array((np.cos(heading), np.sin(heading), 0.2))
+    elevation, found = plane(a, b), np.empty(4)
+    _ground_under(elevation, *elevation.shape, 0.0, 0.0, 0.25, centre, forward, RECORDED, found)
+    height, *normal = found
     assert height == pytest.approx(a * 5.1 + b * 3.3)
     np.testing.assert_allclose(normal, np.array((-a, -b, 1)) / np.sqrt(1 + a * a + b * b), atol=1e-9)
 
@@ -30,14 +44,16 @@ def test_contact_on_a_slope_is_below_the_centre_along_the_normal():
     normal = np.array((-0.6, 0.0, 0.8))
     centre = np.array((1.0, 2.0, 3.0))
     ground = 3.0 - 0.35 / 0.8  # the plane lies 0.35 m from the centre
-    compression, contact = touch(tuple(centre), ground, tuple(normal), (0.0, 1.0, 0.0), 0.37)
+    found = np.empty(4)
+    _touch(centre, np.array((ground, *normal)), np.array((0.0, 1.0, 0.0)), 0.37, found)
+    compression, *contact = found
     assert compression == pytest.approx(0.02)
     np.testing.assert_allclose(contact, centre - 0.35 * normal, atol=1e-12)
 
 
 def force(travel, rate=0.0, other=None):
     other = travel if other is None else other
-    return suspension_force(travel, rate, other, 20e3, 1500.0, 5e3, 2000.0, P)
+    return _suspension_force(travel, rate, other, 20e3, 1500.0, 5e3, 2000.0, RECORDED)
 
 
 def test_spring_damper_bar_and_stops():
@@ -55,7 +71,6 @@ frictions = st.floats(0.1, 1.0)
 loads = st.floats(1, 20e3)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(slips, slips, frictions, loads)
 def test_force_opposes_slip_and_stays_within_friction(slip_x, slip_y, friction, load):
     x, y = brush_force(slip_x, slip_y, 9.0, 6.0, friction, load)

@@ -88,4 +88,10 @@ OFFPISTE_ENTRY(add_by_cell)(
 }
 
 #include "simulation/grids.h"
+#include "simulation/vectors.h"
+#include "simulation/parameters.h"
+#include "simulation/tyre.h"
+#include "simulation/drivetrain.h"
+#include "simulation/chassis.h"
+#include "simulation/forces.h"
 #endif

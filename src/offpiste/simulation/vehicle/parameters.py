@@ -3,7 +3,7 @@
 import re
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
@@ -112,14 +112,10 @@ class VehicleParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         return (x, y), (x, -y), (-x, y), (-x, -y)
 
     @property
-    def static_load_front(self) -> float:
-        """Load of one front wheel on flat ground [N]."""
-        return self.mass * GRAVITY * self.front_share / 2
-
-    @property
-    def static_load_rear(self) -> float:
-        """Load of one rear wheel on flat ground [N]."""
-        return self.mass * GRAVITY * (1 - self.front_share) / 2
+    def spring_loads(self) -> tuple[float, float]:
+        """Loads of one front and one rear spring on flat ground at rest [N]."""
+        front, rear = (self.mass * share / 2 for share in (self.front_share, 1 - self.front_share))
+        return (front - self.unsprung_mass) * GRAVITY, (rear - self.unsprung_mass) * GRAVITY
 
     @property
     def rest_height(self) -> float:
@@ -137,12 +133,21 @@ class VehicleParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         scale = self.mass / self.sprung_mass
         return scale * self.wheelbase * (self.front_share - 0.5), 0.0, scale * (self.com_height - self.rest_height)
 
-    def as_record(self) -> np.record:
-        """Record of float64 fields by name, for compiled code."""
-        values: dict[str, Any] = msgspec.structs.asdict(self)
-        values |= {name: getattr(self, name) for name in ("static_load_front", "static_load_rear", "rest_height")}
-        values |= dict(zip(("sprung_com_x", "sprung_com_y", "sprung_com_z"), self.sprung_com, strict=True))
-        return np.rec.array([tuple(values.values())], dtype=[(name, np.float64) for name in values])[0]
+    def as_record(self) -> np.ndarray:
+        """Return the parameters and what follows from them, for compiled code (`RECORD`)."""
+        values = (*msgspec.structs.astuple(self), *self.spring_loads, self.sprung_com)
+        return np.array(values, RECORD)
+
+
+RECORD: Final = np.dtype(
+    [
+        *((name, float) for name in VehicleParameters.__struct_fields__),
+        ("spring_load_front", float),
+        ("spring_load_rear", float),
+        ("sprung_com", float, 3),
+    ]
+)
+"""Parameters as compiled code reads them; `Parameters` in native/cpp/simulation/parameters.h."""
 
 
 def load_vehicle(path: str | Path | None = None) -> VehicleParameters:

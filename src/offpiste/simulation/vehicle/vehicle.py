@@ -1,4 +1,4 @@
-"""A side-by-side in a `World`: rigid bodies by MuJoCo; tyres, drive train and ground contact by `vehicle.forces`.
+"""A side-by-side in a `World`: rigid bodies by MuJoCo; tyres, drive train and ground contact by `vehicle.physics`.
 
 The bodies are a free chassis and four wheels that slide up and down on it. MuJoCo integrates them without contacts and
 constraints. Wheels do not spin in MuJoCo: their spin is a separate state whose reaction acts as a torque.
@@ -15,11 +15,11 @@ import numpy as np
 
 from offpiste.core.conventions import DT, GRAVITY
 from offpiste.core.errors import OffpisteError, extra
+from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.simulation.sample import VehicleSample, WheelTruth
-from offpiste.simulation.vehicle.drivetrain import GearBox
-from offpiste.simulation.vehicle.forces import PRESSURE, RATIO, STEER, STEER_RATE, look_around, substeps
 from offpiste.simulation.vehicle.parameters import VehicleParameters
-from offpiste.simulation.world.grids import height, main_kind
+from offpiste.simulation.vehicle.physics import STATE, look_around, substeps
+from offpiste.simulation.world.grids import main_kind, read_grid
 from offpiste.simulation.world.world import World
 
 with extra("sim"):
@@ -79,8 +79,28 @@ def mj_step_address() -> int | None:
     raise OffpisteError("mujoco does not contain its library", how="install the wheel of mujoco from PyPI")
 
 
+class GearBox:
+    """Forward, neutral and reverse gear; a shift needs a standstill and takes `steps` of `DT` in neutral."""
+
+    def __init__(self, steps: int) -> None:
+        self._steps, self._lever, self._left = steps, 1.0, 0
+
+    @property
+    def engaged(self) -> float:
+        """1 forward, -1 reverse, 0 neutral."""
+        return 0.0 if self._left else self._lever
+
+    def shift(self, wanted: float | None, *, moving: bool) -> None:
+        """Advance by one step and shift to a gear (1, 0 or -1; None keeps it) unless the vehicle moves."""
+        self._left = max(self._left - 1, 0)
+        if wanted is not None and wanted != self._lever and not moving:
+            self._lever, self._left = float(wanted), self._steps
+
+
 class VehicleSimulation:
-    """A vehicle placed on the ground of a world and driven by commands; the same inputs give the same bytes.
+    """A vehicle placed on the ground of a world and driven by commands.
+
+    The same inputs give the same bytes on the same machine.
 
     Args:
         x, y, yaw: pose at the start [m, rad].
@@ -92,14 +112,12 @@ class VehicleSimulation:
     ) -> None:
         self._world, self._parameters = world, parameters
         self._record = parameters.as_record()
-        grids = (np.ascontiguousarray(grid, dtype=np.float64) for grid in (world.elevation, world.properties))
-        self._grid: tuple[Any, ...] = (*grids, *map(float, world.origin), float(world.resolution))
+        self._grids, self._plants = _grids(world), _plants(world)
         self._model = build_bodies(parameters)
         self._data = data = mujoco.MjData(self._model)
         self._qpos, self._qvel = data.qpos, data.qvel  # views of MuJoCo's memory
-        self._actuators, self._speeds = np.zeros(4), np.zeros(5)
-        self._deflection, self._truth = np.zeros((4, 2)), np.zeros((4, 10))
-        self._touched, self._buffers = np.zeros(2), np.zeros((6, 6))
+        self._forces = data.xfrc_applied, data.qfrc_applied
+        self._state = np.zeros((), STATE)
         self._command = np.zeros(3)
         self._gears = GearBox(round(parameters.gear_time / DT))
         self._brakes: deque[float] = deque([0.0] * round(parameters.brake_delay / DT))
@@ -136,11 +154,11 @@ class VehicleSimulation:
             velocity=self._qvel[:3].copy(),
             angular_velocity=self._qvel[3:6].copy(),
             command=self._command.copy(),
-            brake_pressure=float(self._actuators[PRESSURE]),
-            steer_angle=float(self._actuators[STEER]),
-            steer_rate=float(self._actuators[STEER_RATE]),
-            engine_speed=float(self._speeds[0] * 60 / (2 * np.pi)),
-            wheel_speed=self._speeds[1:] * self._parameters.rolling_radius,
+            brake_pressure=float(self._state["brake_pressure"]),
+            steer_angle=float(self._state["steering"]["angle"]),
+            steer_rate=float(self._state["steering"]["rate"]),
+            engine_speed=float(self._state["speeds"][0] * 60 / (2 * np.pi)),
+            wheel_speed=self._state["speeds"][1:] * self._parameters.rolling_radius,
             truth=self._wheel_truth(),
             events=events,
             gear=self._gears.engaged,
@@ -148,29 +166,23 @@ class VehicleSimulation:
 
     def _substeps(self, count: int, command: np.ndarray, around: np.ndarray) -> None:
         substeps(
-            count, mj_step_address(), (self._model._address, self._data._address),
-            self._record, DT / SUBSTEPS, command, around, *self._grid,
-            self._qpos, self._qvel, self._actuators, self._speeds, self._deflection, self._truth, self._touched,
-            self._data.xfrc_applied, self._data.qfrc_applied, self._buffers,
+            count, mj_step_address(), self._model._address, self._data._address, *self._grids, command, around,
+            self._qpos, self._qvel, self._state, *self._forces, DT / SUBSTEPS, self._record,
         )  # fmt: skip
 
     def _obstacles(self) -> np.ndarray:
         w, x, y, z = self._qpos[3:7]
         yaw = np.arctan2(2 * (x * y + z * w), 1 - 2 * (y * y + z * z))
-        trees, bushes, p, around = self._world.trees, self._world.bushes, self._parameters, np.zeros(4)
-        look_around(
-            trees.foot, trees.trunk_radius, bushes.foot, bushes.radius, bushes.drag,
-            self._qpos[0], self._qpos[1], float(np.cos(yaw)), float(np.sin(yaw)), p.length, p.width, around,
-        )  # fmt: skip
+        around = np.zeros(4)
+        look_around(*self._plants, *self._qpos[:2], np.cos(yaw), np.sin(yaw), self._record, around)
         return around
 
     def _put(self, x: float, y: float, yaw: float) -> None:
         # Place on the plane through the ground under the wheels, then settle on the springs without moving sideways.
         p = self._parameters
         c, s = np.cos(yaw), np.sin(yaw)
-        elevation, _, *grid = self._grid
         places = (x, y) + np.array(p.wheel_places) @ np.array(((c, s), (-s, c)))
-        heights = np.array([height(elevation, *grid, *place) for place in places])
+        heights = read_grid(self._world.elevation, self._world.origin, self._world.resolution, places)
         along = (heights[:2].sum() - heights[2:].sum()) / 2 / p.wheelbase
         across = (heights[::2].sum() - heights[1::2].sum()) / 2 / p.track
         forward = np.array((c, s, along)) / np.hypot(1, along)
@@ -179,37 +191,37 @@ class VehicleSimulation:
         rotation = np.stack((forward, np.cross(up, forward), up), axis=1)
         self._qpos[:3] = x, y, heights.mean() + p.rest_height / up[2]
         mujoco.mju_mat2Quat(self._qpos[3:7], rotation.ravel())
-        self._actuators[RATIO] = p.ratio_low
-        self._speeds[0] = p.idle_speed
+        self._state["belt_ratio"] = p.ratio_low
+        self._state["speeds"][0] = p.idle_speed
         around = np.zeros(4)
         for _ in range(SETTLING_STEPS * SUBSTEPS):
             self._substeps(1, np.array((0.0, 0.0, 0.0, self._gears.engaged)), around)
             self._qpos[:2] = x, y
             self._qvel[:2], self._qvel[5] = 0, 0
-            self._deflection[:], self._speeds[1:] = 0, 0
-            self._actuators[PRESSURE] = 0
+            self._state["deflection"][:], self._state["speeds"][1:] = 0, 0
+            self._state["brake_pressure"] = 0
 
     def _start(self, speed: float) -> None:
         p = self._parameters
         forward = self._data.xmat[1].reshape(3, 3)[:, 0]
         self._qvel[:] = 0
         self._qvel[:3] = speed * forward
-        self._speeds[1:] = speed / p.rolling_radius
         shaft = p.final_ratio * speed / p.rolling_radius
-        self._actuators[:] = 0
-        self._actuators[RATIO] = np.clip(p.cruise_speed / max(shaft, 1.0), p.ratio_high, p.ratio_low)
-        self._speeds[0] = max(p.idle_speed, shaft * self._actuators[RATIO])
-        self._touched[:] = 0
+        ratio = np.clip(p.cruise_speed / max(shaft, 1.0), p.ratio_high, p.ratio_low)
+        state = self._state
+        state["belt_ratio"], state["brake_pressure"], state["steering"] = ratio, 0, 0
+        state["speeds"][:] = max(p.idle_speed, shaft * ratio), *[speed / p.rolling_radius] * 4
+        state["roof_touched"], state["tree_touched"] = 0, 0
 
     def _report_events(self) -> None:
-        elevation, _, *origin, resolution = self._grid
-        low = np.add(origin, BORDER)
-        high = np.add(origin, resolution * (np.array(elevation.shape[::-1]) - 1)) - BORDER
+        world = self._world
+        low = np.add(world.origin, BORDER)
+        high = np.add(world.origin, world.resolution * (np.array(world.elevation.shape[::-1]) - 1)) - BORDER
         inside = ((low <= self._qpos[:2]) & (self._qpos[:2] <= high)).all()
         tilt = 1 - 2 * (self._qpos[4] ** 2 + self._qpos[5] ** 2)
         happening = {
-            "rollover": tilt < TILT_LIMIT or self._touched[0],
-            "collision with a tree": self._touched[1],
+            "rollover": tilt < TILT_LIMIT or self._state["roof_touched"],
+            "collision with a tree": self._state["tree_touched"],
             "left the world": not inside,
         }
         new = [event for event, happened in happening.items() if happened and event not in self._reported]
@@ -217,6 +229,25 @@ class VehicleSimulation:
         self._events += new
 
     def _wheel_truth(self) -> WheelTruth:
-        truth = self._truth.copy()
-        kinds = [main_kind(self._world.kinds, *self._grid[2:], x, y) for x, y in truth[:, :2]]
-        return WheelTruth(truth[:, :3], truth[:, 3:7], np.array(kinds), *truth[:, 7:].T)
+        wheels, world = self._state["wheels"].copy(), self._world
+        kinds = [main_kind(world.kinds, *world.origin, world.resolution, x, y) for x, y, _ in wheels["contact"]]
+        slips = (wheels[name] for name in ("load", "slip_ratio", "slip_angle"))
+        return WheelTruth(wheels["contact"], wheels["properties"], np.array(kinds), *slips)
+
+
+def _grids(world: World) -> tuple[Any, ...]:
+    # Arguments of `substeps`, which checks no bounds.
+    elevation, properties = (np.ascontiguousarray(grid, float) for grid in (world.elevation, world.properties))
+    if min(elevation.shape) < 2 or properties.shape != (*elevation.shape, len(GROUND_PROPERTIES)):
+        raise ValueError(f"elevation has shape {elevation.shape}, properties of the ground {properties.shape}")
+    return elevation, properties, *elevation.shape, *map(float, world.origin), float(world.resolution)
+
+
+def _plants(world: World) -> tuple[Any, ...]:
+    # Arguments of `look_around`, which checks no bounds.
+    trees, bushes = world.trees, world.bushes
+    feet = [np.ascontiguousarray(plants.foot, float).reshape(-1, 3) for plants in (trees, bushes)]
+    trunks, radii, drag = (np.ascontiguousarray(of, float) for of in (trees.trunk_radius, bushes.radius, bushes.drag))
+    if not (len(feet[0]) == trunks.size and len(feet[1]) == radii.size == drag.size):
+        raise ValueError("numbers of plants and of their sizes differ")
+    return feet[0], trunks, len(feet[0]), feet[1], radii, drag, len(feet[1])

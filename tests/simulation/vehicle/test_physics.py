@@ -1,0 +1,43 @@
+"""Arrays that the compiled physics works on."""
+
+import re
+
+import numpy as np
+import pytest
+
+from offpiste.native.sources import PACKAGE
+from offpiste.simulation.vehicle.parameters import RECORD
+from offpiste.simulation.vehicle.physics import STATE, WHEEL
+from simulation.drives import flat_world, vehicle_on
+
+TEXT = "".join(file.read_text() for file in sorted((PACKAGE / "native/cpp/simulation").glob("*.h")))
+
+
+def members(struct):
+    """Name and number of doubles of each member of a struct of the physics."""
+    body = re.search(rf"struct {struct} \{{(.*?)\}};", re.sub(r"/\*.*?\*/", "", TEXT, flags=re.DOTALL), re.DOTALL)[1]
+    for kind, names in re.findall(r"(\w+) ([^;]+);", body):
+        doubles = 1 if kind == "double" else sum(count for _, count in members(kind))
+        for name, count in re.findall(r"(\w+)(?:\[(\d+)\])?", names):
+            yield name, doubles * int(count or 1)
+
+
+@pytest.mark.parametrize(("struct", "dtype"), [("Parameters", RECORD), ("State", STATE), ("Wheel", WHEEL)])
+def test_structs_have_the_layout_of_their_arrays(struct, dtype):
+    assert list(members(struct)) == [(name, dtype[name].itemsize // 8) for name in dtype.names]
+
+
+@pytest.mark.parametrize(
+    ("of", "name", "value", "said"),
+    [
+        ("world", "elevation", np.zeros((1, 121)), "elevation has shape"),
+        ("world", "properties", np.zeros((121, 240, 4)), "properties of the ground"),
+        ("trees", "trunk_radius", np.zeros(2), "plants"),
+        ("bushes", "drag", np.zeros(0), "plants"),
+    ],
+)
+def test_grids_and_plants_that_would_be_read_beyond_their_ends_are_refused(of, name, value, said):
+    world = flat_world(trees=[(0.0, 0.4, 0.15)], bushes=[(0.0, 0.0, 1.0, 600.0)])
+    object.__setattr__(world if of == "world" else getattr(world, of), name, value)  # past the checks of its shapes
+    with pytest.raises(ValueError, match=said):
+        vehicle_on(world)
