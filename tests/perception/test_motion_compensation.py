@@ -1,4 +1,4 @@
-"""Points in the world against plain NumPy: scans of any length, moments in any order, poses that are unknown."""
+"""Points in the world against NumPy: scans of any length, moments in any order, poses that are unknown."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from offpiste.logs.channel import Channel
 from offpiste.logs.measurements import Cloud, Lidar
 from offpiste.logs.poses import Poses
-from offpiste.perception.motion_compensation import MOMENT, points_in_world
+from offpiste.perception.motion_compensation import MOMENT, points_in_world, put_in_world
 from offpiste.rig.sensors import LidarSource
 
 
@@ -15,7 +15,7 @@ def plain(cloud: Cloud, lidar: Lidar, poses: Poses) -> np.ndarray:
     ticks, which = np.unique(np.round(cloud.times / MOMENT), return_inverse=True)
     matrix = (poses.at(ticks * MOMENT) @ lidar.body_from_lidar)[which]
     terms = matrix[:, :3, :3] * cloud.points[:, None]
-    return (terms[..., 0] + terms[..., 2]) + terms[..., 1] + matrix[:, :3, 3]
+    return terms.sum(axis=2) + matrix[:, :3, 3]
 
 
 def curved(rng: np.random.Generator) -> Poses:
@@ -39,7 +39,24 @@ def test_points_in_world_are_those_of_numpy(count: int, span: float):
     cloud = Cloud(0.01, "top", rng.normal(size=(count, 3)) * 40, offset, np.ones(count))
     poses = curved(rng)
     world = points_in_world(cloud, lidar, poses)
-    np.testing.assert_array_equal(world, plain(cloud, lidar, poses))
+    np.testing.assert_allclose(world, plain(cloud, lidar, poses), rtol=0, atol=1e-11)
     if count > 1 and span > 0:
         assert np.isnan(world).any()  # before the log begins
         assert np.isfinite(world).any()
+
+
+def test_the_compiled_transform_is_the_plain_one():
+    rng = np.random.default_rng(0)
+    points, matrices = rng.normal(size=(100, 3)), rng.normal(size=(7, 4, 4))
+    points[3], matrices[2] = np.nan, np.nan
+    which, found, expected = rng.integers(0, 7, 100), np.empty((100, 3)), np.empty((100, 3))
+    put_in_world(points, which, matrices, 100, found)
+    put_in_world.plain(points, which, matrices, 100, expected)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+
+
+def test_a_scan_with_a_time_too_few_is_refused():
+    cloud = Cloud(0.0, "top", np.zeros((5, 3)), np.zeros(5), np.ones(5))
+    object.__setattr__(cloud, "offset", np.zeros(4))
+    with pytest.raises(ValueError, match="reshape"):
+        points_in_world(cloud, Lidar("top", np.eye(4), LidarSource(topic="top")), curved(np.random.default_rng(0)))

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from offpiste.logs.channel import Channel
 from offpiste.logs.measurements import Camera, Cloud, Lidar
 from offpiste.logs.poses import Poses
+from offpiste.perception import projection
 from offpiste.perception.camera import PinholeCamera, make_pinhole_camera
 from offpiste.perception.motion_compensation import inverse, points_in_world, transformed
 from offpiste.perception.projection import (
@@ -203,3 +204,20 @@ def test_occlusion_is_as_defined(seed, reach):
     np.testing.assert_array_equal(
         occluded_points(pixels, depth, (60, 60), reach=reach), plain_occlusion(pixels, depth, reach)
     )
+
+
+@pytest.mark.parametrize("reach", [1.0, 9.0, 40.0])
+def test_the_compiled_occlusion_is_the_plain_one(reach, monkeypatch):
+    rng = np.random.default_rng(0)
+    pixels = rng.uniform(-0.5, (79.5, 59.5), (2000, 2))
+    depth = rng.choice([3.0, 3.5, 8.0, 20.0], 2000) * rng.uniform(0.95, 1.05, 2000)
+    found = occluded_points(pixels, depth, (80, 60), reach=reach)
+    monkeypatch.setattr(projection, "find_nearer", projection.find_nearer.plain)
+    np.testing.assert_array_equal(found, occluded_points(pixels, depth, (80, 60), reach=reach))
+    assert 0 < found.sum() < 2000
+
+
+def test_points_far_outside_the_image_stay_in_the_z_buffer():
+    pixels = np.array([[-1e6, 1e6], [1e6, -1e6], [0.0, 60.0]])
+    found = occluded_points(pixels, np.array([20.0, 20.0, 3.0]), (80, 60), reach=9.0)
+    assert found.tolist() == [True, False, False]

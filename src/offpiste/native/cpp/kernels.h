@@ -87,6 +87,9 @@ OFFPISTE_ENTRY(add_by_cell)(
         for (int e = 0; e < size; e++) sums[cells[k] * size + e] += rows[k * size + e];
 }
 
+#include "perception/filters.h"
+#include "perception/occlusion.h"
+#include "perception/scans.h"
 #include "simulation/grids.h"
 #include "simulation/vectors.h"
 #include "simulation/parameters.h"

@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from offpiste.native.threads import single_threaded_torch
 from offpiste.perception.backbones import BACKBONES, Backbone
-from offpiste.perception.filter_responses import PRODUCTS, TAPS, Derivatives, patch_means
+from offpiste.perception.filter_responses import PRODUCTS, Derivatives, patch_means
 
 FILTERBANK: Final = "filterbank"
 
@@ -142,9 +142,7 @@ def derivatives(scale: float) -> Derivatives:
     weights = np.concatenate((first, second))
     weights[:, 6] = -(weights @ products.mean(axis=(1, 2)))
     weights /= np.abs(np.einsum("kp,pij->kij", weights, products)).sum(axis=(1, 2))[:, None]
-    filled = np.zeros((len(lines), -(-len(x) // TAPS) * TAPS), np.float32)
-    filled[:, : len(x)] = lines
-    return Derivatives(len(x), filled, weights.astype(np.float32))
+    return Derivatives(lines.astype(np.float32), weights.astype(np.float32))
 
 
 def respond(plane: Float[Tensor, "B 1 h w"], filters: Float[Tensor, "k 1 s s"], *, stride: int = 1) -> Tensor:
