@@ -32,8 +32,8 @@ def test_structs_have_the_layout_of_their_arrays(struct, dtype):
     [
         ("world", "elevation", np.zeros((1, 121)), "elevation has shape"),
         ("world", "properties", np.zeros((121, 240, 4)), "properties of the ground"),
-        ("trees", "trunk_radius", np.zeros(2), "plants"),
-        ("bushes", "drag", np.zeros(0), "plants"),
+        ("trees", "trunk_radius", np.zeros(2), "dimensions"),
+        ("bushes", "drag", np.zeros(0), "dimensions"),
     ],
 )
 def test_grids_and_plants_that_would_be_read_beyond_their_ends_are_refused(of, name, value, said):

@@ -35,20 +35,9 @@ STATE: Final = np.dtype(
 engine_torque = entry("engine_torque", float, float, RECORD, returns=float)
 """Torque of the engine [N m] at a speed [rad/s] and a throttle 0..1, given `VehicleParameters.as_record()`."""
 
-look_around = entry("look_around", "f8", "f8", int, "f8", "f8", "f8", int, float, float, float, float, RECORD, "f8")
-"""Find obstacles near the body.
-
-Args:
-    trees, trunk_radius, count: feet [n, 3] and radii [n] of trees [m].
-    bushes, bush_radius, drag, count: feet [n, 3] and radii [n] of bushes [m], and their drag [n] [N].
-    x, y, cos_yaw, sin_yaw: centre of the body [m] and its heading.
-    parameters: `VehicleParameters.as_record()`.
-    around: result [4]: x, y, radius of the nearest trunk [m], radius 0 for none; drag of the bushes under the body [N].
-"""
-
 substeps = entry(
-    "substeps", int, int, int, int, "f8", "f8", int, int, float, float, float, "f8", "f8", "f8", "f8", STATE,
-    "f8", "f8", float, RECORD,
+    "substeps", int, int, int, int, "f8", "f8", int, int, float, float, float, "f8", int, "f8", int,
+    "f8", "f8", "f8", STATE, "f8", "f8", float, RECORD,
 )  # fmt: skip
 """Advance the state, write the forces on the bodies and run MuJoCo's step, `count` times.
 
@@ -57,8 +46,9 @@ Args:
     mj_step, model, data: addresses of MuJoCo's function and of its arguments.
     elevation, properties, rows, columns, x0, y0, resolution: grids [rows, columns] and [rows, columns, 4] of the world,
         at least 2 x 2.
+    trees, tree_count: x, y, radius of the trunks [n, 3] [m]; obstacles are searched once, at the start.
+    bushes, bush_count: x, y, radius [m] and drag [N] of the bushes [n, 4].
     command: throttle, (delayed) brake, steer, engaged gear [4].
-    around: result of `look_around`.
     qpos, qvel: MuJoCo's state [11], [10].
     state: `STATE`.
     body_forces: force and torque on each body in the world frame [6, 6]: MuJoCo's xfrc_applied.

@@ -9,7 +9,7 @@ from collections import deque
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from offpiste.core.errors import OffpisteError, extra
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.simulation.sample import VehicleSample, WheelTruth
 from offpiste.simulation.vehicle.parameters import VehicleParameters
-from offpiste.simulation.vehicle.physics import STATE, look_around, substeps
+from offpiste.simulation.vehicle.physics import STATE, substeps
 from offpiste.simulation.world.grids import main_kind, read_grid
 from offpiste.simulation.world.world import World
 
@@ -139,7 +139,7 @@ class VehicleSimulation:
         self._command[:] = np.clip((throttle, brake, steer), (0, 0, -1), (1, 1, 1))
         self._brakes.append(float(self._command[1]))
         held = np.array((self._command[0], self._brakes.popleft(), self._command[2], self._gears.engaged))
-        self._substeps(SUBSTEPS, held, self._obstacles())
+        self._substeps(SUBSTEPS, held, self._plants)
         self._steps += 1
         self._report_events()
 
@@ -164,18 +164,11 @@ class VehicleSimulation:
             gear=self._gears.engaged,
         )
 
-    def _substeps(self, count: int, command: np.ndarray, around: np.ndarray) -> None:
+    def _substeps(self, count: int, command: np.ndarray, plants: tuple[Any, ...]) -> None:
         substeps(
-            count, mj_step_address(), self._model._address, self._data._address, *self._grids, command, around,
+            count, mj_step_address(), self._model._address, self._data._address, *self._grids, *plants, command,
             self._qpos, self._qvel, self._state, *self._forces, DT / SUBSTEPS, self._record,
         )  # fmt: skip
-
-    def _obstacles(self) -> np.ndarray:
-        w, x, y, z = self._qpos[3:7]
-        yaw = np.arctan2(2 * (x * y + z * w), 1 - 2 * (y * y + z * z))
-        around = np.zeros(4)
-        look_around(*self._plants, *self._qpos[:2], np.cos(yaw), np.sin(yaw), self._record, around)
-        return around
 
     def _put(self, x: float, y: float, yaw: float) -> None:
         # Place on the plane through the ground under the wheels, then settle on the springs without moving sideways.
@@ -193,9 +186,8 @@ class VehicleSimulation:
         mujoco.mju_mat2Quat(self._qpos[3:7], rotation.ravel())
         self._state["belt_ratio"] = p.ratio_low
         self._state["speeds"][0] = p.idle_speed
-        around = np.zeros(4)
         for _ in range(SETTLING_STEPS * SUBSTEPS):
-            self._substeps(1, np.array((0.0, 0.0, 0.0, self._gears.engaged)), around)
+            self._substeps(1, np.array((0.0, 0.0, 0.0, self._gears.engaged)), _NO_PLANTS)
             self._qpos[:2] = x, y
             self._qvel[:2], self._qvel[5] = 0, 0
             self._state["deflection"][:], self._state["speeds"][1:] = 0, 0
@@ -244,10 +236,10 @@ def _grids(world: World) -> tuple[Any, ...]:
 
 
 def _plants(world: World) -> tuple[Any, ...]:
-    # Arguments of `look_around`, which checks no bounds.
     trees, bushes = world.trees, world.bushes
-    feet = [np.ascontiguousarray(plants.foot, float).reshape(-1, 3) for plants in (trees, bushes)]
-    trunks, radii, drag = (np.ascontiguousarray(of, float) for of in (trees.trunk_radius, bushes.radius, bushes.drag))
-    if not (len(feet[0]) == trunks.size and len(feet[1]) == radii.size == drag.size):
-        raise ValueError("numbers of plants and of their sizes differ")
-    return feet[0], trunks, len(feet[0]), feet[1], radii, drag, len(feet[1])
+    trunks = np.column_stack((trees.foot[:, :2], trees.trunk_radius)).astype(float)
+    shrubs = np.column_stack((bushes.foot[:, :2], bushes.radius, bushes.drag)).astype(float)
+    return trunks, len(trunks), shrubs, len(shrubs)
+
+
+_NO_PLANTS: Final = np.zeros((0, 3)), 0, np.zeros((0, 4)), 0

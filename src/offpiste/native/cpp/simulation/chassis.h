@@ -14,6 +14,15 @@ struct Positions {
     double travel[4];  /* of the wheels from rest, up [m] */
 };
 
+/* Axes of the chassis, from its quaternion. */
+inline Axes axes_of(const Positions& at) {
+    const double w = at.w, x = at.x, y = at.y, z = at.z;
+    return {
+        {1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)},
+        {2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)},
+        {2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)}};
+}
+
 /* qvel of MuJoCo. */
 struct Velocities {
     Vector linear; /* of the pose point in the world frame [m/s] */
@@ -26,10 +35,26 @@ struct Wrench {
     Vector force, torque; /* [N], [N m] */
 };
 
-/* Obstacles near the body. */
+struct Tree {
+    double x, y, radius; /* of the trunk [m] */
+};
+
+struct Bush {
+    double x, y, radius; /* [m] */
+    double drag;         /* force on a vehicle that drives through it [N] */
+};
+
+struct Plants {
+    const Tree* trees;
+    int64_t tree_count;
+    const Bush* bushes;
+    int64_t bush_count;
+};
+
+/* Obstacles near the body: the nearest trunk, with radius 0 for none, and the drag of the bushes under it [N]. */
 struct Around {
-    double tree_x, tree_y, tree_radius; /* nearest trunk [m]; radius 0: none */
-    double bush_drag;                   /* of the bushes under the body [N] */
+    Tree tree;
+    double bush_drag;
 };
 
 /* Motion of the chassis; points are in the body frame, from the pose point [m]. */
@@ -41,6 +66,28 @@ struct Body {
     Vector place(Vector point) const { return at.place + to_world(axes, point); }
     Vector velocity(Vector point) const { return moving.linear + to_world(axes, cross(moving.rates, point)); }
 };
+
+/* Finds the obstacles near a body. */
+inline Around look_around(const Plants& plants, const Body& body, const Parameters& p) {
+    Around found = {};
+    const Vector place = body.at.place, forward = body.axes.forward;
+    const double scale = 1.0 / (size(horizontal(forward)) + 1e-9);
+    const double c = scale * forward.x, s = scale * forward.y;
+    double nearest = p.length;
+    for (int64_t n = 0; n < plants.tree_count; n++) {
+        const Tree& tree = plants.trees[n];
+        const double gap = size({tree.x - place.x, tree.y - place.y}) - tree.radius;
+        if (gap < nearest) nearest = gap, found.tree = tree;
+    }
+    for (int64_t n = 0; n < plants.bush_count; n++) {
+        const Bush& bush = plants.bushes[n];
+        const double dx = bush.x - place.x, dy = bush.y - place.y;
+        const double ahead = std::max(fabs(c * dx + s * dy) - 0.5 * p.length, 0.0);
+        const double aside = std::max(fabs(c * dy - s * dx) - 0.5 * p.width, 0.0);
+        if (size({ahead, aside}) < bush.radius) found.bush_drag += bush.drag;
+    }
+    return found;
+}
 
 /* Factor from a velocity to its direction, fading out at standstill. */
 inline double direction(double speed) { return tanh(speed / PUSH_SPEED) / (speed + 1e-9); }
@@ -83,16 +130,16 @@ inline bool touch_ground_with_corners(
 
 /* Adds the force of the nearest tree, a circle in contact with the body's footprint in the plane, at bumper height;
    returns whether they touch. */
-inline bool touch_tree(const Around& around, const Body& body, const Parameters& p, Wrench& chassis) {
+inline bool touch_tree(const Tree& trunk, const Body& body, const Parameters& p, Wrench& chassis) {
     const Vector forward = body.axes.forward;
     const double length = size(horizontal(forward)) + 1e-9;
     const double c = forward.x / length, s = forward.y / length;
-    const double dx = around.tree_x - body.at.place.x, dy = around.tree_y - body.at.place.y;
+    const double dx = trunk.x - body.at.place.x, dy = trunk.y - body.at.place.y;
     const Planar tree = {c * dx + s * dy, c * dy - s * dx};
     const double half = 0.5 * p.length, side = 0.5 * p.width;
     const Planar nearest = {clamp(tree.x, -half, half), clamp(tree.y, -side, side)};
     const Planar gap = {tree.x - nearest.x, tree.y - nearest.y};
-    double depth = around.tree_radius - size(gap);
+    double depth = trunk.radius - size(gap);
     if (depth <= 0.0) return false;
     Planar out = {tree.x > 0.0 ? 1.0 : -1.0, 0.0}; /* direction to the tree */
     if (size(gap) > 1e-6) out = {gap.x / size(gap), gap.y / size(gap)};
@@ -103,30 +150,6 @@ inline bool touch_tree(const Around& around, const Body& body, const Parameters&
     const double load = std::max(TREE_STIFFNESS * depth + TREE_DAMPING * closing, 0.0);
     push(-load * normal, point, body, p, chassis);
     return true;
-}
-
-/* Finds the obstacles near a body.
-   trees, bushes: x, y, z of their feet [m]
-   drag: of the bushes [N]
-   x, y, cos_yaw, sin_yaw: centre [m] and heading of the body */
-OFFPISTE_ENTRY(look_around)(
-    const Vector* trees, const double* trunk_radius, int64_t tree_count, const Vector* bushes,
-    const double* bush_radius, const double* drag, int64_t bush_count, double x, double y, double cos_yaw,
-    double sin_yaw, const Parameters* p, Around* found) {
-    *found = {};
-    double nearest = p->length;
-    for (int64_t n = 0; n < tree_count; n++) {
-        const double gap = size({trees[n].x - x, trees[n].y - y}) - trunk_radius[n];
-        if (gap >= nearest) continue;
-        nearest = gap;
-        *found = {trees[n].x, trees[n].y, trunk_radius[n], 0.0};
-    }
-    for (int64_t n = 0; n < bush_count; n++) {
-        const double dx = bushes[n].x - x, dy = bushes[n].y - y;
-        const double ahead = std::max(fabs(cos_yaw * dx + sin_yaw * dy) - 0.5 * p->length, 0.0);
-        const double aside = std::max(fabs(cos_yaw * dy - sin_yaw * dx) - 0.5 * p->width, 0.0);
-        if (size({ahead, aside}) < bush_radius[n]) found->bush_drag += drag[n];
-    }
 }
 
 }

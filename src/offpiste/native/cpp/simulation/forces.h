@@ -167,23 +167,25 @@ inline void substep(
     touched(0.0, 0.5 * p.length, 0.5 * p.width, p.bumper_height);
     touched(0.0, 0.25 * p.wheelbase, 0.25 * p.width, p.belly_height);
     if (touched(-0.1 * p.length, 0.2 * p.length, 0.425 * p.width, p.roof_height)) state.roof_touched = 1.0;
-    if (around.tree_radius > 0.0 && touch_tree(around, body, p, forces.chassis)) state.tree_touched = 1.0;
+    if (around.tree.radius > 0.0 && touch_tree(around.tree, body, p, forces.chassis)) state.tree_touched = 1.0;
 }
 
-/* Runs `substep` and MuJoCo's step `count` times.
+/* Runs `substep` and MuJoCo's step `count` times among the obstacles around the vehicle at the start.
    mj_step, model, data: addresses of MuJoCo's function and its arguments, whose qpos, qvel, xfrc_applied and
    qfrc_applied the others are */
 OFFPISTE_ENTRY(substeps)(
     int64_t count, int64_t mj_step, int64_t model, int64_t data, const double* elevation, const double* properties,
-    int64_t rows, int64_t columns, double x0, double y0, double resolution, const Command* command,
-    const Around* around, const Positions* positions, const Velocities* velocities, State* state, BodyForces* forces,
-    JointForces* joint_forces, double dt, const Parameters* p) {
+    int64_t rows, int64_t columns, double x0, double y0, double resolution, const Tree* trees, int64_t tree_count,
+    const Bush* bushes, int64_t bush_count, const Command* command, const Positions* positions,
+    const Velocities* velocities, State* state, BodyForces* forces, JointForces* joint_forces, double dt,
+    const Parameters* p) {
     const auto step = reinterpret_cast<void (*)(const void*, void*)>(mj_step);
     const Ground ground = {elevation, properties, rows, columns, x0, y0, resolution};
+    Body body = {*positions, *velocities, axes_of(*positions)};
+    const Around around = look_around({trees, tree_count, bushes, bush_count}, body, *p);
     for (int64_t k = 0; k < count; k++) {
-        const Axes axes = axes_of(positions->w, positions->x, positions->y, positions->z);
-        const Body body = {*positions, *velocities, axes};
-        substep(*command, *around, ground, body, *state, *forces, *joint_forces, dt, *p);
+        body.axes = axes_of(*positions);
+        substep(*command, around, ground, body, *state, *forces, *joint_forces, dt, *p);
         step(reinterpret_cast<const void*>(model), reinterpret_cast<void*>(data));
     }
 }

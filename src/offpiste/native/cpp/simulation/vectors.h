@@ -32,14 +32,6 @@ struct Axes {
     Vector forward, left, up;
 };
 
-/* Axes of a body with quaternion (w, x, y, z). */
-inline Axes axes_of(double w, double x, double y, double z) {
-    return {
-        {1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)},
-        {2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)},
-        {2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)}};
-}
-
 /* The body-frame vector in the world frame. */
 inline Vector to_world(const Axes& body, Vector v) { return v.x * body.forward + v.y * body.left + v.z * body.up; }
 
