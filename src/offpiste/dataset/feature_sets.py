@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,7 +10,6 @@ from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.wheel_passes import Passes
 from offpiste.mapping.voxels_to_layers import MapCells
-from offpiste.native.compilation import FEATURE_SETS_KEPT
 from offpiste.native.threads import single_threaded_torch
 
 TOLERANCE = 5.0  # largest difference between the distance of a feature set and the vehicle's at recording [m]
@@ -92,8 +90,8 @@ class FeatureSetRecorder:
     def __init__(self, passes: Passes, *, resolution: float, reach: float, features: int) -> None:
         count, sets = len(passes.contact), len(FEATURE_SETS)
         self._passes, self._reach = passes, reach
-        self._centre = (passes.cell + 0.5) * resolution
-        self._left, self._active, self._signed = np.zeros(count, bool), np.empty(count, np.int64), np.empty(count)
+        self._x, self._y = np.ascontiguousarray((passes.cell.T + 0.5) * resolution)
+        self._left = np.zeros(count, bool)  # cells that left the map after contact
         self._nearest = np.full((sets, count), np.inf)
         self.features = np.full((sets, count, features), np.nan, np.float16)
         self.valid = np.zeros((sets, count), bool)
@@ -105,92 +103,44 @@ class FeatureSetRecorder:
         """Record the map after a scan at a time [s], with the pose point at xy [m]."""
         import torch  # imported here to keep imports quick; NumPy takes ten times as long to round to float16
 
-        p, centre, x, y = self._passes, self._centre, float(xy[0]), float(xy[1])
-        active, signed = self._active, self._signed
-        count = put_active(time, x, y, self._reach, centre, p.approach, p.contact, p.end, self._left, active, signed)
-        if not count:
+        active, signed = self._active(time, xy)
+        if not len(active):
             return
-        active, signed = active[:count], signed[:count]
-        there = read(p.cell[active])
+        there = read(self._passes.cell[active])
         with single_threaded_torch():
             halves = torch.from_numpy(np.ascontiguousarray(there.features, np.float32)).half().numpy()
-        values = KeptValues(halves.view(np.uint16), there.valid, there.distance, there.elevation, there.normal)
-        kept = KeptValues(self.features.view(np.uint16), self.valid, self.distance, self.elevation, self.normal)
-        keep_values(active, signed, DISTANCES, TOLERANCE, self._nearest, values, kept)
+        there = there._replace(features=halves)
+        for number, distance in enumerate(DISTANCES, 1):
+            miss = np.abs(signed - distance)
+            some = np.flatnonzero(miss <= TOLERANCE)
+            some = some[miss[some] < self._nearest[number, active[some]]]
+            self._nearest[number, active[some]] = miss[some]
+            self._keep(number, active, some, there, ("features", "valid", "distance", "elevation", "normal"))
+        x, y, z = there.normal.T
+        self._keep(0, active, np.flatnonzero(there.valid), there, ("features", "valid", "distance"))
+        self._keep(0, active, np.flatnonzero(np.isfinite(there.elevation)), there, ("elevation",))
+        self._keep(0, active, np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z)), there, ("normal",))
 
+    def _keep(
+        self,
+        number: int,
+        active: Int[np.ndarray, " K"],
+        some: Int[np.ndarray, " k"],
+        values: MapCells,
+        names: tuple[str, ...],
+    ) -> None:
+        """Keep values of some active passes in a feature set."""
+        for name in names:
+            getattr(self, name)[number][active[some]] = getattr(values, name)[some]
 
-class KeptValues(NamedTuple):
-    """Values by feature set and pass [sets, P, ...], or of K cells of the current map [K, ...]."""
-
-    features: np.ndarray  # bits of float16 [..., F]
-    valid: np.ndarray
-    distance: np.ndarray
-    elevation: np.ndarray
-    normal: np.ndarray  # unit vectors in the world frame [..., 3]
-
-
-@FEATURE_SETS_KEPT.loop
-def keep_features(kept, number, i, values, q):  # type: ignore[no-untyped-def]
-    """Keep features, validity and observation distance of a cell."""
-    for k in range(values.features.shape[1]):
-        kept.features[number, i, k] = values.features[q, k]
-    kept.valid[number, i], kept.distance[number, i] = values.valid[q], values.distance[q]
-
-
-@FEATURE_SETS_KEPT.loop
-def keep_normal(kept, number, i, values, q):  # type: ignore[no-untyped-def]
-    """Keep the normal of a cell."""
-    for axis in range(3):
-        kept.normal[number, i, axis] = values.normal[q, axis]
-
-
-@FEATURE_SETS_KEPT.entry
-def put_active(time, x, y, reach, centre, approach, contact, end, left, active, signed):  # type: ignore[no-untyped-def]
-    """Write the active passes and their distances, and return their number.
-
-    Args:
-        x, y: of the pose point [m].
-        reach: half the side of the map around it [m].
-        centre: of the passes' cells [P, 2] [m].
-        left: updated mask of cells that left the map after contact [P].
-        active, signed: numbers of the passes, and distances, negative after contact [m] [P].
-    """
-    count = 0
-    for i in range(len(centre)):
-        if not approach[i] <= time < end[i]:
-            continue
-        dx, dy = centre[i, 0] - x, centre[i, 1] - y
-        if abs(dx) > reach or abs(dy) > reach:
-            left[i] |= time > contact[i]
-        elif not left[i]:
-            away = np.sqrt(dx * dx + dy * dy)
-            active[count], signed[count] = i, -away if time > contact[i] else away
-            count += 1
-    return count
-
-
-@FEATURE_SETS_KEPT.entry
-def keep_values(active, signed, distances, tolerance, nearest, values, kept):  # type: ignore[no-untyped-def]
-    """Keep known values of the active cells in hindsight, and the values nearest to each distance in the other sets.
-
-    Args:
-        active, signed: as in `put_active` [K].
-        nearest: smallest miss so far, updated [m] [sets, P].
-        values, kept: `KeptValues` of the cells and of the passes.
-    """
-    for q in range(len(active)):
-        i = active[q]
-        for other in range(len(distances)):
-            number, miss = other + 1, abs(signed[q] - distances[other])
-            if miss <= tolerance and miss < nearest[number, i]:
-                nearest[number, i] = miss
-                keep_features(kept, number, i, values, q)
-                keep_normal(kept, number, i, values, q)
-                kept.elevation[number, i] = values.elevation[q]
-        if values.valid[q]:
-            keep_features(kept, 0, i, values, q)
-        if np.isfinite(values.elevation[q]):
-            kept.elevation[0, i] = values.elevation[q]
-        x, y, z = values.normal[q, 0], values.normal[q, 1], values.normal[q, 2]
-        if np.isfinite(x) and np.isfinite(y) and np.isfinite(z):
-            keep_normal(kept, 0, i, values, q)
+    def _active(
+        self, time: float, xy: Float[np.ndarray, " 2"]
+    ) -> tuple[Int[np.ndarray, " K"], Float[np.ndarray, " K"]]:
+        """Return the passes to record, and their cells' distances, negative after contact [m]."""
+        passes = self._passes
+        near = np.flatnonzero((passes.approach <= time) & (time < passes.end) & ~self._left)
+        dx, dy, after = self._x[near] - xy[0], self._y[near] - xy[1], time > passes.contact[near]
+        inside = (np.abs(dx) <= self._reach) & (np.abs(dy) <= self._reach)
+        self._left[near[after & ~inside]] = True
+        away = np.sqrt(dx[inside] ** 2 + dy[inside] ** 2)
+        return near[inside], np.where(after[inside], -away, away)

@@ -191,12 +191,16 @@ def cloud_from_records(raw: RawCloud, lidar: Lidar, period: float = 0.0) -> Clou
 
 def usable_points(points_lidar: Float[np.ndarray, "n 3"], lidar: Lidar) -> Bool[np.ndarray, " n"]:
     """Mark points that are finite, within range (drivers write 0, 0, 0 for no echo) and not on the vehicle itself."""
-    from offpiste.logs.usable_points import mark_usable  # imported here so that reading numbers needs no compiler
-
-    source, usable = lidar.source, np.empty(len(points_lidar), bool)
-    low, high = np.array(source.own_body or np.full((2, 3), np.nan), np.float64)
-    mounting = np.ascontiguousarray(lidar.body_from_lidar, np.float64)
-    mark_usable(np.ascontiguousarray(points_lidar), source.min_range, source.max_range, mounting, low, high, usable)
+    source, mounting = lidar.source, lidar.body_from_lidar
+    with np.errstate(invalid="ignore", over="ignore"):
+        distance = np.sqrt(np.einsum("nk,nk->n", points_lidar, points_lidar))
+    usable = (distance > 0) & (distance >= source.min_range) & (distance <= source.max_range) & (distance < np.inf)
+    if source.own_body is not None:
+        low, high = np.array(source.own_body, np.float64)
+        furthest = np.linalg.norm(np.maximum(np.abs(low - mounting[:3, 3]), np.abs(high - mounting[:3, 3])))
+        near = np.flatnonzero(usable & (distance <= furthest + 1e-6))
+        place = points_lidar[near] @ mounting[:3, :3].T + mounting[:3, 3]
+        usable[near] = ~((place >= low) & (place <= high)).all(axis=1)
     return usable
 
 

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from offpiste.core.errors import RigError
+from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
-from offpiste.native.compilation import POSES
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,10 @@ class Poses:
 
     def at(self, time: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
         """Return `world_from_body` at given times [s]; NaN outside the log and across gaps and jumps."""
-        matrix = np.empty((len(time), 4, 4))
         samples = (self.position.time, self.position.values, self.orientation.time, self.orientation.values)
-        unknown = np.concatenate((self.jumps, self.unknown))
-        put_poses(*(np.ascontiguousarray(each, np.float64) for each in (time, *samples, unknown)), self.max_gap, matrix)
+        matrix = interpolated(time, *samples, self.max_gap)
+        for start, end in (*self.jumps, *self.unknown):
+            matrix[(start < time) & (time < end)] = np.nan
         return matrix
 
     def known(self, time: float) -> float:
@@ -67,69 +67,55 @@ def poses_from_drive(drive: Drive) -> Poses:
     return Poses(position, orientation, drive.rig.clock.max_gap, drive.faults.breaks(), drive.faults.unknown())
 
 
-# Compiled loops; their reference in NumPy and SciPy is in tests/logs/test_poses.py.
-
-
-@POSES.inlined
-def sample_after(stamps, at, max_gap):  # type: ignore[no-untyped-def]
-    """Return the index of the first sample after a time; -1 outside the record and in gaps."""
-    if not stamps[0] <= at <= stamps[-1]:
-        return -1
-    after = min(np.searchsorted(stamps, at, side="right"), len(stamps) - 1)
-    return after if stamps[after] - stamps[after - 1] <= max_gap else -1
-
-
-@POSES.inlined
-def slerp(one, other, share):  # type: ignore[no-untyped-def]
-    """Interpolate between quaternions of any length along the shorter arc (Shoemake, SIGGRAPH 1985)."""
-    squares = product = others = 0.0
-    for k in range(4):
-        squares, product, others = squares + one[k] * one[k], product + one[k] * other[k], others + other[k] * other[k]
-    sign = -1.0 if product < 0.0 else 1.0
-    cosine = abs(product) / np.sqrt(squares) / np.sqrt(others)
-    angle = 0.0 if cosine > 1.0 else np.arccos(cosine)
-    sine, begin, end = np.sin(angle), 1.0 - share, share
-    if not sine < 1e-6:
-        begin, end = np.sin((1.0 - share) * angle) / sine, np.sin(share * angle) / sine
-    end *= sign
-    x, y = begin * one[0] + end * other[0], begin * one[1] + end * other[1]
-    z, w = begin * one[2] + end * other[2], begin * one[3] + end * other[3]
-    length = np.sqrt(x * x + y * y + z * z + w * w)
-    return x / length, y / length, z / length, w / length
-
-
-@POSES.entry
-def put_poses(time, stamps, positions, turned, quaternions, unknown, max_gap, matrices):  # type: ignore[no-untyped-def]
-    """Write `world_from_body` at each time into `matrices` [n, 4, 4]; NaN where unknown.
+def interpolated(
+    time: Float[np.ndarray, " n"],
+    stamps: Float[np.ndarray, " p"],
+    positions: Float[np.ndarray, "p 3"],
+    turned: Float[np.ndarray, " q"],
+    quaternions: Float[np.ndarray, "q 4"],
+    max_gap: float,
+) -> Float[np.ndarray, "n 4 4"]:
+    """Return `world_from_body` at given times [s]; NaN outside the samples and across gaps.
 
     Args:
-        time: [n] [s].
-        stamps, positions: samples of the position [p] [s], [p, 3] [m].
-        turned, quaternions: stamps and samples xyzw of the orientation [q] [s], [q, 4].
-        unknown: intervals without known poses [u, 2] [s].
+        stamps, positions: samples of the position [s], [m].
+        turned, quaternions: stamps [s] and samples xyzw of the orientation.
         max_gap: largest gap between samples to interpolate across [s].
     """
-    for n in range(len(time)):
-        at, matrix = time[n], matrices[n]
-        after, turn = sample_after(stamps, at, max_gap), sample_after(turned, at, max_gap)
-        for u in range(len(unknown)):
-            if unknown[u, 0] < at < unknown[u, 1]:
-                after = -1
-        matrix[:] = np.nan
-        if after < 0 or turn < 0:
-            continue
-        share = (at - turned[turn - 1]) / (turned[turn] - turned[turn - 1])
-        x, y, z, w = slerp(quaternions[turn - 1], quaternions[turn], share)
-        if not np.isfinite(w):
-            continue
-        share = (at - stamps[after - 1]) / (stamps[after] - stamps[after - 1])
-        for axis in range(3):
-            matrix[axis, 3] = (1.0 - share) * positions[after - 1, axis] + share * positions[after, axis]
-        matrix[0, 0], matrix[0, 1], matrix[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
-        matrix[1, 0], matrix[1, 1], matrix[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
-        matrix[2, 0], matrix[2, 1], matrix[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
-        matrix[3, 0] = matrix[3, 1] = matrix[3, 2] = 0.0
-        matrix[3, 3] = 1.0
+    matrix = np.full((len(time), 4, 4), np.nan)
+    after, share = _between(stamps, time, max_gap)
+    turn, turn_share = _between(turned, time, max_gap)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        quaternion = _slerp(quaternions[turn - 1], quaternions[turn], turn_share)
+    known = np.isfinite(share) & np.isfinite(quaternion[:, 3])
+    after, share = after[known], share[known, None]
+    matrix[known, :3, :3] = rotation_from_quaternion(quaternion[known])
+    matrix[known, :3, 3] = (1 - share) * positions[after - 1] + share * positions[after]
+    matrix[known, 3] = [0, 0, 0, 1]
+    return matrix
+
+
+def _between(
+    stamps: Float[np.ndarray, " p"], time: Float[np.ndarray, " n"], max_gap: float
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Return the sample after each time, and the share of the gap before it that has passed; NaN where unknown."""
+    after = np.searchsorted(stamps, time, side="right").clip(max=len(stamps) - 1)
+    begin, end = stamps[after - 1], stamps[after]
+    known = (stamps[0] <= time) & (time <= stamps[-1]) & (end - begin <= max_gap) & (begin < end)
+    return after, np.divide(time - begin, end - begin, out=np.full(len(time), np.nan), where=known)
+
+
+def _slerp(
+    one: Float[np.ndarray, "n 4"], other: Float[np.ndarray, "n 4"], share: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 4"]:
+    """Interpolate between quaternions of any length along the shorter arc (Shoemake, SIGGRAPH 1985)."""
+    product, squares, others = (np.einsum("nk,nk->n", a, b) for a, b in ((one, other), (one, one), (other, other)))
+    angle = np.arccos(np.minimum(np.abs(product) / np.sqrt(squares) / np.sqrt(others), 1))
+    sine = np.sin(angle)
+    flat = sine < 1e-6
+    begin = np.where(flat, 1 - share, np.sin((1 - share) * angle) / sine)
+    end = np.where(flat, share, np.sin(share * angle) / sine)
+    return begin[:, None] * one + np.where(product < 0, -end, end)[:, None] * other
 
 
 def jump_note(poses: Poses) -> list[str]:

@@ -125,19 +125,15 @@ FUSED: Final = frozenset({"contract"})
 MAPPING: Final = Compiler(
     ("mapping",), FUSED, loops_make_arrays=False, entries_make_arrays=False, part="the map's kernels", seconds=20
 )
-POSES: Final = Compiler(("logs/poses.py",), loops_make_arrays=False, entries_make_arrays=False)
 MOTION: Final = Compiler(("perception/motion_compensation.py",), loops_make_arrays=False, entries_make_arrays=False)
 PROJECTION: Final = Compiler(("perception/projection.py",), loops_make_arrays=False, entries_make_arrays=False)
 FUSED_PROJECTION: Final = replace(PROJECTION, fastmath=FUSED)
-CLOUDS: Final = Compiler(("logs/usable_points.py",), loops_make_arrays=False, entries_make_arrays=False)
-FUSED_CLOUDS: Final = replace(CLOUDS, fastmath=FUSED)
 """Compilers of loops over points of scans, with fused multiply-add where BLAS uses it."""
 OCCLUSION: Final = Compiler(("perception/projection.py",))
 _RESPONSES: Final = ("perception/filter_responses.py",)
 FILTERS: Final = Compiler(_RESPONSES, FUSED, loops_make_arrays=False, entries_make_arrays=False)
 FILTER_SUMS: Final = Compiler(_RESPONSES, loops_make_arrays=False, entries_make_arrays=False)
 """Compilers of the backbone `filterbank`, with and without fused multiply-add."""
-FEATURE_SETS_KEPT: Final = Compiler(("dataset/feature_sets.py",), loops_make_arrays=False, entries_make_arrays=False)
 PHYSICS: Final = Compiler(("simulation", "core/conventions.py"), part="the simulated vehicle", seconds=10)
 """Compiler of the simulated vehicle, without fast math."""
 RAYS: Final = Compiler(

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from offpiste.logs.poses import put_poses
+from offpiste.logs.poses import interpolated
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class Motion:
 
     def at(self, time: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3 3"]]:
         """Return positions [m] and rotations `world_from_body` at given times, clamped to the first and last one."""
-        matrix, samples = np.empty((len(time), 4, 4)), (self.time, self.position, self.time, self.orientation)
-        put_poses(np.clip(time, self.time[0], self.time[-1]), *samples, np.zeros((0, 2)), np.inf, matrix)
+        samples = self.time, self.position, self.time, self.orientation
+        matrix = interpolated(np.clip(time, self.time[0], self.time[-1]), *samples, np.inf)
         return np.ascontiguousarray(matrix[:, :3, 3]), np.ascontiguousarray(matrix[:, :3, :3])
 
 
