@@ -8,6 +8,7 @@ import torch
 from offpiste.planning.caution import Caution
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
+from offpiste.planning.header.costs import packed_stray
 from offpiste.planning.kernel import encode_map, fused_costs
 from offpiste.uncertainty.spread import Spread, inputs_of
 from planning.test_kernel import GEARED, KINDS, both, commands, ground, model, start
@@ -80,3 +81,13 @@ def test_an_unsure_plan_of_nan_costs_nan_and_others_do_not():
     controls = commands(40)
     controls[7, 30] = torch.nan
     assert cost_of(controls).isnan().nonzero().flatten().tolist() == [7]
+
+
+def test_a_spread_of_a_model_with_other_inputs_is_refused():
+    dynamics, at = model("b"), situation(ground())
+    at = replace(at, caution=caution(model("dc")))
+    expected = r"the spread has \d+ inputs; this model's has 9"
+    with pytest.raises(ValueError, match=expected):
+        fused_costs(dynamics, start(dynamics, at), at, CostWeights(), encode_map(at.ground, None))
+    with pytest.raises(ValueError, match=expected):
+        packed_stray(dynamics, at.caution)

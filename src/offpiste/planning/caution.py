@@ -14,7 +14,7 @@ from offpiste.core.errors import PlanningError
 from offpiste.core.state import TerrainSource, Trajectory
 from offpiste.dynamics.kernels.layout import COMMANDS
 from offpiste.dynamics.vehicle import Vehicle
-from offpiste.uncertainty.spread import MOTION, Spread, inputs_along
+from offpiste.uncertainty.spread import MOTION, Spread, inputs_along, inputs_of
 
 
 @dataclass(frozen=True)
@@ -94,17 +94,26 @@ class SpreadWeights(NamedTuple):
 
 
 @torch.no_grad()
-def spread_weights(caution: Caution, vehicle: Vehicle) -> SpreadWeights:
-    """Return the weights of a spread."""
-    spread = caution.spread
+def spread_weights(caution: Caution, vehicle: Vehicle, codes: int) -> SpreadWeights:
+    """Return the weights of a spread.
+
+    Args:
+        codes: length of the model's code.
+
+    Raises:
+        ValueError: the spread is of a model with other inputs.
+    """
+    spread, inputs = caution.spread, inputs_of(vehicle, codes)
+    if len(spread.mean) != inputs:
+        raise ValueError(f"the spread has {len(spread.mean)} inputs; this model's has {inputs}")
     first, last = (layer for layer in spread.layers.children() if isinstance(layer, nn.Linear))
     scaled = first.weight / spread.deviation
     start, reach = nn.functional.softplus(spread.start).square(), caution.reach * float(spread.factor)
     before, controls = len(MOTION), [COMMANDS.index(name) for name in vehicle.control]
-    motion, of_controls, codes = scaled.t().split((before, len(controls), scaled.shape[1] - before - len(controls)))
+    motion, of_controls, of_codes = scaled.t().split((before, len(controls), codes))
     known = scaled.new_zeros(len(COMMANDS), len(scaled))
     known[controls] = of_controls
-    inner, bias = torch.cat((motion, known, codes)), first.bias - scaled @ spread.mean
+    inner, bias = torch.cat((motion, known, of_codes)), first.bias - scaled @ spread.mean
     return SpreadWeights(inner, bias, last.weight.t(), last.bias, start, reach)
 
 

@@ -232,7 +232,7 @@ def _stray(caution: Caution | None, dynamics: Dynamics, arrays: Arrays) -> _Stra
     """Return the network of a spread; none without caution."""
     if caution is None:
         return _Stray(every=1)
-    of = spread_weights(caution, dynamics.vehicle)
+    of = spread_weights(caution, dynamics.vehicle, dynamics.codes)
     more = -len(of.bias) % 4
     return _Stray(
         hidden=len(of.bias) + more,

@@ -90,7 +90,7 @@ def packed_stray(dynamics: Dynamics, caution: Caution | None) -> Float[np.ndarra
     if caution is None:
         return np.empty(0)
     vehicle, before = dynamics.vehicle, len(MOTION)
-    of = spread_weights(caution, vehicle)
+    of = spread_weights(caution, vehicle, dynamics.codes)
     commands = (before + COMMANDS.index(name) for name in vehicle.control_columns)
     read = [*range(before), *commands, *range(before + len(COMMANDS), len(of.inner))]
     parts = of.inner[read].t(), of.bias, of.outer.t(), of.outer_bias, of.start, np.array([of.reach])
