@@ -51,6 +51,7 @@ from offpiste.core.errors import PlanningError
 from offpiste.planning.course import Course
 
 for change in ({"speed": np.array([3.0, np.nan, 3.0])}, {"speed": np.ones(5)}, {"alternative": np.zeros((2, 2))},
+               {"alternative": np.array([[0.0, 0], [5, np.nan], [9, 0]])},
                {"path": np.full((3, 2), 7.0)}, {"path": np.array([[0.0, 0], [np.nan, 1], [2, 2]])}):
     try:
         Course(**{"path": np.array([[0.0, 0], [5, 0], [9, 0]]), "speed": np.ones(3), **change})
@@ -66,6 +67,7 @@ def test_inconsistent_and_short_courses_are_refused():
         "3 speeds for 3 points, or a non-finite speed",
         "5 speeds for 3 points, or a non-finite speed",
         "the alternative has 2 points, the path 3",
+        "the alternative has a non-finite point",
         *["the path of 3 points is not finite or shorter than 0.01 m"] * 2,
     ]
 
@@ -101,6 +103,15 @@ def test_a_path_of_two_points_and_hardly_any_cells():
     found = along_path(path, values, np.array([4.0]), np.array([3.0]))
     np.testing.assert_allclose(found, [[[5.0, 1.0]]])
     np.testing.assert_allclose(along_path(path, values, np.array([4.0, 6.0]), np.array([4.0]))[0, 1], [5.0, 2.0])
+
+
+@pytest.mark.parametrize("nowhere", [np.nan, np.inf])
+def test_without_a_finite_distance_the_values_are_those_of_a_point_of_the_path(nowhere):
+    values = np.array([[1.0], [2.0], [99.0]], np.float32)[:2]  # the number that follows in memory is known
+    for path, x in (([[nowhere, 0.0], [nowhere, 1.0]], 4.0), ([[0.0, 0.0], [9.0, 0.0]], nowhere)):
+        found = along_path(np.array(path), values, np.array([x]), np.array([3.0]))
+        assert not np.isfinite(found[0, 0, 0])
+        assert found[0, 0, 1] in values
 
 
 def test_of_two_ways_the_nearer_one_counts():

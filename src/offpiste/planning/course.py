@@ -108,6 +108,8 @@ class Course:
         if self.alternative is not None and len(self.alternative) != len(self.path):
             what = f"the alternative has {len(self.alternative)} points, the path {len(self.path)}"
             raise PlanningError(what, how="give as many points for both, equal where the ways coincide")
+        if self.alternative is not None and not np.isfinite(self.alternative).all():
+            raise PlanningError("the alternative has a non-finite point", how="give finite points")
 
     @property
     def ways(self) -> tuple[Float[np.ndarray, "P 2"], ...]:

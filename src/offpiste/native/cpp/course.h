@@ -31,16 +31,16 @@ static void fill_course(int first, int last, const Path& p, float* result) {
         for (int column = 0; column < p.columns; column += p.block) {
             const double px = p.x[column] + half, py = p.y[row * p.block] + half;
             double squared;
-            nearest_point(p, px, py, 0, p.count, p.stride, &squared);
+            const int coarse = nearest_point(p, px, py, 0, p.count, p.stride, &squared);
             const double distance = sqrt(squared);
             const bool near = distance < p.near * p.block * p.resolution;
             /* A cell lies up to sqrt(2) half from the middle, and its nearest point up to as far again. */
             const double reach = distance + p.slack + (near ? 3 * half : 0.0);
-            int begin = p.count, end = 0;
+            int begin = coarse, end = coarse + 1; /* at least one point, even where distances are NaN */
             for (int k = 0; k < p.count; k += p.stride)
                 if (square_distance(p, k, px, py) <= reach * reach) {
                     begin = k < begin ? k : begin;
-                    end = k + p.stride;
+                    end = k + p.stride > end ? k + p.stride : end;
                 }
             end = end < p.count ? end : p.count;
             int best = nearest_point(p, px, py, begin, end, 1, &squared);
