@@ -1,4 +1,4 @@
-"""A cost term and its map layer of an extension, in the kernel and in eager code."""
+"""Added cost terms, a constant quantity and a map layer, in the kernel and in eager code."""
 
 import pytest
 
@@ -10,6 +10,7 @@ from offpiste.planning.costs.weights import CostWeights
 PLAN = """
 import numpy as np, torch
 from offpiste import CostWeights
+from offpiste.planning.costs.declaration import cost_term, quantity
 from offpiste.planning.driving_cost import driving_costs, driving_terms
 from offpiste.planning.kernel import encode_map, fused_costs, fused_rollout
 from offpiste.planning.controls import CONTROL_LIMITS
@@ -17,6 +18,14 @@ from offpiste.planning.mppi import Settings, improve
 from offpiste.core.state import Trajectory
 from planning.test_kernel import commands, model, start
 from planning_maps import layers, situation
+
+@quantity
+def crossing_speed():
+    return 0.3
+
+@cost_term("crossing", weight=1.0, unit="s/m^2")
+def crossing(vy, crossing_speed, maximum, weight):
+    return weight * maximum(abs(vy), crossing_speed)
 
 ground = layers()
 ground.roughness[:, 45:] = 0.05
@@ -40,7 +49,7 @@ assert plan.controls.isfinite().all()
 """
 
 
-def test_an_added_term_is_planned_with_by_kernel_and_eager_model_alike():
+def test_added_terms_are_planned_with_by_kernel_and_eager_model_alike():
     succeeded("-c", PLAN, extension="roughness_cost")
 
 

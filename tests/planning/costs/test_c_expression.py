@@ -6,12 +6,12 @@ from offpiste.planning.costs.c_expression import CExpression, called, traced
 
 def test_arithmetic_becomes_c():
     def term(a, b, maximum):
-        return maximum(2 * a - b / a, -1) ** 2 + (a > b) * -b
+        return maximum(2 * a - b / a, -1) ** 2 + (a > b) * -b + abs(b)
 
     given = {"a": CExpression("a"), "b": CExpression("b"), "maximum": called("offpiste_maximum")}
     text = traced(term, given, ("a", "b", "maximum"))
     largest = "offpiste_maximum(((2.0f * a) - (b / a)), (-1.0f))"
-    assert text == f"(({largest} * {largest}) + ((a > b ? 1.0f : 0.0f) * (-b)))"
+    assert text == f"((({largest} * {largest}) + ((a > b ? 1.0f : 0.0f) * (-b))) + offpiste_maximum(b, (-b)))"
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,9 @@ class CExpression:
     def __neg__(self) -> "CExpression":
         return CExpression(f"(-{self.text})")
 
+    def __abs__(self) -> "CExpression":
+        return CExpression(f"offpiste_maximum({self.text}, (-{self.text}))")
+
     def __pow__(self, exponent: Any) -> "CExpression":
         if not isinstance(exponent, int) or exponent < 1:
             raise TypeError(f"power {exponent}")

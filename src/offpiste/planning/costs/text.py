@@ -120,7 +120,7 @@ def _motion_cost(
             given[name] = CExpression(places[name])
         elif name not in provided:
             function = QUANTITIES[name]
-            body.append(f"const offpiste_real {name} = {traced(function, given, arguments(function))};")
+            body.append(f"OFFPISTE_TERM {name} = {traced(function, given, arguments(function))};")
             given[name] = CExpression(name)
     return [
         "OFFPISTE_FN offpiste_real offpiste_motion_cost(",
