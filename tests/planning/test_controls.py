@@ -1,5 +1,8 @@
 """Bounds and rates against hand-worked values and the torch reference; throttle and brake as one pedal."""
 
+import re
+
+import jaxtyping
 import pytest
 import torch
 
@@ -39,6 +42,13 @@ def test_the_compiled_pass_equals_the_reference(dtype, previous):
         assert torch.equal(found.nan_to_num(9), reference.nan_to_num(9))
         assert found[3, 10:, 1].isnan().all()
     assert torch.equal(wanted.nan_to_num(9), asked.nan_to_num(9))
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    jaxtyping.config.update("jaxtyping_disable", True)
+    for shape, before in (((4, 3, 2), None), ((4, 3), None), ((4, 3, 3), (2,)), ((4, 3, 3), ())):
+        with pytest.raises(ValueError, match=re.escape(f"controls are {list(shape)}")):
+            keep_within(CONTROL_LIMITS, 0.02, torch.zeros(shape), before if before is None else torch.zeros(before))
 
 
 def test_controls_within_limits_stay():

@@ -101,7 +101,14 @@ def keep_within(
     Args:
         dt: duration of a step [s].
         previous: control before the first step; None does not limit the first step.
+
+    Raises:
+        ValueError: a shape does not fit the limits.
     """
+    columns = (len(limits.low),)
+    if controls.shape[2:] != columns or (previous is not None and previous.shape != columns):
+        before = "" if previous is None else f", the control before {list(previous.shape)}"
+        raise ValueError(f"controls are {list(controls.shape)}{before}; the limits want [K, T, {columns[0]}]")
     fast = controls.device.type == "cpu" and controls.dtype == torch.float32 and library() is not None
     if limits.rate is None or not fast:
         return keep_within_stepwise(limits, dt, controls, previous)
