@@ -11,6 +11,7 @@ from offpiste.core.state import ModelState, Trajectory
 from offpiste.dynamics import Hybrid, Parametric, Vehicle, rollout
 from offpiste.dynamics.feature_encoder import Compressor, Identity
 from offpiste.dynamics.kernels import map_rollout
+from offpiste.dynamics.kernels.encoder import supports_encoder
 from offpiste.dynamics.kernels.map_rollout import predict_on, rollout_on_maps
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain, last_cells
 
@@ -82,7 +83,7 @@ def test_kernels_agree_with_the_eager_model(kind: str, batch: int, monkeypatch: 
         torch.testing.assert_close(one.double(), other, rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True)
 
 
-def test_gradients_and_maps_in_single_precision_are_left_to_the_eager_model() -> None:
+def test_gradients_and_single_precision_are_left_to_the_eager_model_and_too_few_features_refused() -> None:
     model, maps = model_of("compressed", VEHICLE), stack()
     assert run(model, 3, eager=False).state.requires_grad
     state = ModelState(torch.zeros(1, 6), torch.zeros(1, 4), torch.zeros(1, model.recurrent_size))
@@ -94,3 +95,7 @@ def test_gradients_and_maps_in_single_precision_are_left_to_the_eager_model() ->
             for each in (maps, wide)
         )
     torch.testing.assert_close(first, second, rtol=1e-5, atol=1e-5)
+    few = replace(maps, features=maps.features[:, : FEATURES - 2].contiguous())
+    with torch.no_grad(), pytest.raises(ValueError, match="cells of 3 features; the encoder reads 4"):
+        predict_on(model, state, torch.zeros(1, 5, 3), MapTerrain(few, *given, model.encoder))
+    assert not supports_encoder(model.encoder, few.features.float())

@@ -40,6 +40,8 @@ def supports_encoder(encoder: FeatureEncoder, features: Tensor) -> bool:
     """Return whether `encode_cells` computes these codes: of a `Compressor` for recorded cells, float32 on the CPU."""
     if not isinstance(encoder, Compressor) or uncovered_encoder(encoder) or features.requires_grad or not library():
         return False
+    if features.shape[-1] < len(encoder.mean):
+        return False
     tensors = (features, *encoder.parameters())
     return all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
 

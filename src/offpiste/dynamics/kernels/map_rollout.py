@@ -57,9 +57,15 @@ def _supports_maps(dynamics: Dynamics, terrain: MapTerrain) -> bool:
 def rollout_on_maps(
     dynamics: Dynamics, model_state: ModelState, controls: Float[Tensor, "B T U"], terrain: MapTerrain
 ) -> Trajectory:
-    """Predict T steps, reading maps of float16 cells."""
-    maps, arrays = terrain.maps, Arrays()
+    """Predict T steps, reading maps of float16 cells.
+
+    Raises:
+        ValueError: cells have fewer features than the encoder reads.
+    """
+    maps, arrays, encoder = terrain.maps, Arrays(), encoder_of(dynamics.encoder)
     assert isinstance(maps, CellStack)
+    if maps.features.shape[1] < encoder.features:
+        raise ValueError(f"cells of {maps.features.shape[1]} features; the encoder reads {encoder.features}")
     batch, steps = controls.shape[:2]
     given = _Maps(
         batch=batch,
@@ -81,6 +87,5 @@ def rollout_on_maps(
     )
     states = torch.empty(batch, steps, len(STATE))
     actuators = torch.empty(batch, steps, len(ACTUATORS))
-    encoder = encoder_of(dynamics.encoder)
     call("forward_on_maps", -(-batch // CHUNK), model_of(dynamics), given, encoder, states, actuators)
     return Trajectory(states, actuators)
