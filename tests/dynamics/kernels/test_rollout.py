@@ -17,7 +17,9 @@ from offpiste.core.conventions import ACTUATORS, CONTROL
 from offpiste.core.errors import DatasetError
 from offpiste.core.state import ModelState, RecordedTerrain, Terrain, Trajectory
 from offpiste.dynamics import ConstantMotion, Hybrid, Parametric, Vehicle, rollout
+from offpiste.dynamics.kernels import autograd
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
+from offpiste.native.tensors import call
 
 TOLERANCE = 2e-5
 """Of the largest value of each tensor."""
@@ -193,6 +195,23 @@ def test_kernels_agree_over_a_second_and_with_a_frozen_compensator() -> None:
     model = example(*CHANNELS["all"], codes=0, kind=Hybrid)
     model.compensator.requires_grad_(False)
     compare(model, batch=3, steps=5)
+
+
+def test_states_of_every_step_are_kept_only_where_gradients_are_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, kept = example(*CHANNELS["all"], codes=4, kind=Hybrid).float(), []
+    inputs = windows(model, 3, 5)
+    supports(model, torch.device("cpu"), torch.float32)
+
+    def watched(name: str, chunks: int, given: object, record: object, tape: Tensor | None, *results: object) -> None:
+        kept.append(tape is not None)
+        call(name, chunks, given, record, tape, *results)
+
+    monkeypatch.setattr(autograd, "call", watched)
+    rollout_recorded(model, *inputs)
+    with torch.no_grad():
+        rollout_recorded(model, *inputs)
+    rollout_recorded(model.requires_grad_(False), *inputs)
+    assert kept == [True, False, False]
 
 
 def test_without_gradients_and_with_any_number_of_threads_the_numbers_are_the_same() -> None:

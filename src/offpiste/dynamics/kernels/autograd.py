@@ -127,7 +127,8 @@ class Rollout(torch.autograd.Function):
         actuators = start.new_empty(batch, steps, len(ACTUATORS))
         chunks, size = -(-batch // CHUNK), start.shape[1]
         # Blocks of any width fit into whole chunks.
-        tape = start.new_empty(chunks * CHUNK * (steps + 1) * size) if given.differentiate else None
+        kept = given.differentiate and any(ctx.needs_input_grad)
+        tape = start.new_empty(chunks * CHUNK * (steps + 1) * size) if kept else None
         call("forward", chunks, model, record, tape, None if model.lags_only else states, actuators)
         ctx.model, ctx.record, ctx.kept = model, record, (arrays, tape)
         ctx.shapes = [tensor.shape for tensor in (start, learned, codes, *matrices)]
