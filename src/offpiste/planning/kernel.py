@@ -57,6 +57,8 @@ class _Stray(Structure):
 
 
 class _Situation(Structure):
+    """Situation as the library reads it, with the arrays that its addresses point to."""
+
     _fields_ = (
         ("ground", _Grid),
         ("costs", _Grid),
@@ -66,6 +68,7 @@ class _Situation(Structure):
         ("layer_count", c_int),
         ("stray", _Stray),
     )
+    arrays: Arrays
 
 
 class _Samples(Structure):
@@ -169,6 +172,7 @@ def _bind(
     _check(dynamics, model_state, codes)
     vehicle, model, arrays = dynamics.vehicle, model_of(dynamics), Arrays()
     given = _situation(dynamics, model_state, situation, weights, codes, arrays)
+    given.arrays = arrays
     library = _planning_library(tuple(cost_terms()), situation.costs.table)
     if library is None:
         raise ValueError("no kernel for these cost terms; see `supports_costs`")
@@ -188,7 +192,6 @@ def _bind(
             None if states is None else own.bytes(states),
         )
         call("plan", -(-len(controls) // CHUNK), model, given, samples, of=library)
-        assert arrays
         return costs
 
     return roll
