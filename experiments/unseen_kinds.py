@@ -190,7 +190,7 @@ def rows_of(
         if len(index):
             located = EvaluatedWindows(windows.dataset, windows.drive[index], windows.row_in_drive(index))
             residuals = residuals_on_maps(run, windows, index)
-            found = calibration_rows(name, spread, residuals, {}, Sampling().on(located))
+            found, _ = calibration_rows(name, spread, residuals, {}, Sampling().on(located))
             rows += [msgspec.structs.replace(row, windows=which) for row in found]
     return rows
 

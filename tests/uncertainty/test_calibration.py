@@ -19,6 +19,7 @@ from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run, load_run, predict
 from offpiste.training.train import train
 from offpiste.uncertainty.calibration import (
+    SpreadReport,
     calibrate,
     evaluate_kept_spreads,
     kept_or_fitted,
@@ -90,6 +91,13 @@ def test_runs_in_folders_of_the_same_name_are_distinguished(dataset: Dataset, ru
     kept_or_fitted(run, dataset, QUICK)
     folders = [Path(shutil.copytree(run.folder, tmp_path / seed / "dc")) for seed in ("s0", "s1")]
     assert list(evaluate_kept_spreads(folders, dataset.path).within) == ["s0/dc", "s1/dc"]
+
+
+def test_a_report_evaluates_the_spread_once(dataset: Dataset, run: Run) -> None:
+    spread, evaluated = kept_or_fitted(run, dataset, QUICK), []
+    spread.register_forward_hook(lambda *_: evaluated.append(1))
+    SpreadReport().add("dc", run, spread, dataset)
+    assert evaluated == [1]
 
 
 def test_a_spread_is_not_evaluated_on_data_it_was_fitted_to(dataset: Dataset, run: Run, tmp_path: Path) -> None:

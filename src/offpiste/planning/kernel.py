@@ -130,11 +130,7 @@ def fused_costs(
         ValueError: unsupported model, types or shapes.
     """
     roll = _bind(dynamics, model_state, situation, weights, codes)
-
-    def cost_of(controls: Tensor) -> Tensor:
-        return roll(controls, None)
-
-    return cost_of
+    return lambda controls: roll(controls, None)
 
 
 def fused_rollout(

@@ -96,8 +96,10 @@ def calibration_rows(
     residuals: Residuals,
     groups: Mapping[str, Bool[np.ndarray, " N"]],
     drawn: Resampling,
-) -> list[CalibrationRow]:
+) -> tuple[list[CalibrationRow], Float[np.ndarray, "N H"]]:
     """Return a row for all windows and one for each group, at each horizon.
+
+    The second result is the probability of the region that ends at each error, at each of `HORIZONS`.
 
     Args:
         run: name of the run.
@@ -107,7 +109,8 @@ def calibration_rows(
     freedom, speed = float(spread.freedom.detach()), residuals.inputs[:, 0, 0].numpy()
     scale, error = spread(residuals.inputs).detach().numpy()[:, AT], residuals.error.numpy()[:, AT]
     distance, reach = np.linalg.norm(error, axis=-1), np.linalg.norm(scale, axis=-1)
-    score, within = crps(error, scale, freedom).mean(axis=-1), probabilities(spread, residuals)
+    score = crps(error, scale, freedom).mean(axis=-1)
+    within = probability_within(np.square(error / scale).sum(axis=-1), freedom)
     rows = list[CalibrationRow]()
     for at, horizon in enumerate(HORIZONS):
         for name, mine in ({ALL: np.ones(len(error), bool)} | dict(groups)).items():
@@ -129,14 +132,7 @@ def calibration_rows(
                     auroc_by_speed=area_under_curve(speed[mine], worst),
                 )
             )
-    return rows
-
-
-def probabilities(spread: Spread, residuals: Residuals) -> Float[np.ndarray, "N H"]:
-    """Return the probability of the region that ends at each error, at each of `HORIZONS`."""
-    scale = spread(residuals.inputs).detach().numpy()
-    squared = np.square(residuals.error.numpy()[:, AT] / scale[:, AT]).sum(axis=-1)
-    return probability_within(squared, float(spread.freedom.detach()))
+    return rows, within
 
 
 def calibration_table(rows: Sequence[CalibrationRow]) -> TextTable:
@@ -156,7 +152,7 @@ def calibration_chart(within: Mapping[str, Float[np.ndarray, "N H"]]) -> Chart:
     """Describe the share of errors within regions against their probability: a panel per run, a line per horizon.
 
     Args:
-        within: by run, `probabilities` of its windows.
+        within: by run, the probability of the region that ends at each error.
     """
     nominal, sides = np.linspace(0, 1, 101), (0.0, 100.0)
     panels = []
@@ -198,7 +194,7 @@ class SpreadReport:
 
     Attributes:
         rows: of the table.
-        within: by run (`probabilities`).
+        within: by run, from `calibration_rows`.
     """
 
     rows: list[CalibrationRow] = field(default_factory=list)
@@ -210,8 +206,8 @@ class SpreadReport:
         index = windows.evaluation_indices(5)
         residuals = residuals_on_maps(run, windows, index)
         located = EvaluatedWindows(dataset, windows.drive[index], windows.row_in_drive(index))
-        self.rows += calibration_rows(name, spread, residuals, members(located), Sampling().on(located))
-        self.within[name] = probabilities(spread, residuals)
+        rows, self.within[name] = calibration_rows(name, spread, residuals, members(located), Sampling().on(located))
+        self.rows += rows
 
     def write(self, out: Path) -> Path:
         """Write table, numbers and figure, log the table, and return the path of `calibration.md`."""
