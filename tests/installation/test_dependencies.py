@@ -44,12 +44,10 @@ def test_every_module_imports_only_core_dependencies_at_its_top() -> None:
         for name in imported_at_the_top(path) - sys.stdlib_module_names - {"offpiste"}
         if not core & distributions.get(name, set())
     }
-    assert strangers <= {
-        "dynamics/kernels/dialects.py: sympy",  # which only who changes the physics runs
-        "dynamics/kernels/generate.py: sympy",
+    assert strangers == {
+        "dynamics/kernels/generate.py: sympy",  # which only who changes the physics runs
         "dynamics/kernels/tape.py: sympy",
         "native/compilation.py: llvmlite",  # Numba's own compiler, never without it
-        "dynamics/kernels/vectors.py: llvmlite",
     }
 
 
