@@ -157,7 +157,7 @@ def model_stages(
 def _cost_of_training(settings: ReproductionSettings, model: FigureModel, driven: tuple[float, float, float]) -> float:
     train = settings.size.train
     windows = (driven[0] + driven[1] / 3) / DT / train.stride
-    if model.model == BASELINE:  # fits the stages that others reuse, and compiles kernels
+    if model.model == BASELINE:  # fits the stages that others reuse
         return 10 + WINDOW_SECONDS * windows * (train.epochs + train.bicycle_epochs + train.actuator_epochs)
     return 2 + WINDOW_SECONDS * windows * train.epochs * READING
 

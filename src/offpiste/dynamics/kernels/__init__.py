@@ -1,1 +1,1 @@
-"""Fast rollouts on the CPU, derived from the same equations as the eager models: see `function.rollout_recorded`."""
+"""Fast rollouts on the CPU, derived from the same equations as the eager models: see `autograd.rollout_recorded`."""

@@ -1,5 +1,5 @@
 /* One step of a model for the lanes of a vector, and its adjoint: the printed physics between networks of any size
-   (dynamics/lstm.py). Structs are filled by native/library.py. */
+   (dynamics/lstm.py). Structs are filled by dynamics/kernels/structures.py. */
 
 struct Network {
     int inputs, width, outputs;  /* width and outputs: multiples of four */
