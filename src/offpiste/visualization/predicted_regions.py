@@ -56,6 +56,7 @@ def regions_chart(found: SpreadPrediction, recorded: Float[np.ndarray, "B T 2"],
         predicted = found.trajectory.state[number, :, :2].numpy()
         outlines = ellipses(found, number)
         shown = np.concatenate((np.zeros((1, 2)), path, predicted, *outlines))
+        shown = shown[np.isfinite(shown).all(axis=1)]
         middle, half = (shown.min(axis=0) + shown.max(axis=0)) / 2, np.ptp(shown, axis=0).max() / 2 + MARGIN
         (left, right), (low, high) = np.stack((middle - half, middle + half), axis=1).tolist()
         lines = [Line("", x, y, BLUE, width=0.8, opacity=0.6) for x, y in (outline.T for outline in outlines)]
