@@ -60,6 +60,12 @@ def test_lines_are_drawn_alike_as_picture_and_as_chart() -> None:
     assert drawn.layout.yaxis.range == (0, pytest.approx(10.5))
 
 
+def test_lines_of_one_name_share_an_entry_of_the_legend() -> None:
+    shown = Chart([Panel("", lines=[Line(name, X, X, "#0072b2") for name in ("drive", "drive", "all", "drive", "")])])
+    assert [trace.name for trace in valid(shown).data if trace.showlegend is None] == ["drive", "all"]
+    assert [text.get_text() for text in draw(shown).legends[0].get_texts()] == ["drive", "all"]
+
+
 def test_long_lines_are_thinned_between_their_ends_and_failures_leave_an_axis() -> None:
     x = np.linspace(0, 1, 5000)
     (trace,) = valid(one(x, x**2)).data

@@ -63,6 +63,10 @@ def _chart(panel: Panel, small: bool) -> dict[str, Any]:
         x["constrain"] = y["constrain"] = "domain"
         y["scaleanchor"] = "x"
     traces = [trace for line in panel.lines for trace in _line_traces(line, panel, small)]
+    first: dict[str, Any] = {trace["name"]: trace for trace in reversed(traces) if trace.get("showlegend", True)}
+    for trace in traces:
+        if trace.get("showlegend", True) and trace is not first[trace["name"]]:
+            trace["showlegend"] = False  # runs of a model share a label
     if panel.boxes:
         traces += _box_traces(panel.boxes)
         y |= {"showgrid": False, **_named_ticks([box.label for box in panel.boxes])}
