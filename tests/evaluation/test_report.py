@@ -44,6 +44,14 @@ def test_few_blocks_are_not_called_failed() -> None:
     assert "–" not in drawn_from(rows([errors()]))
 
 
+def test_readings_with_other_intervals_are_told_apart() -> None:
+    on_map, recorded = (Case("b", "", "causal", lookup) for lookup in ("map", "recorded"))
+    cases = {on_map: [RunErrors(0, None, errors())], recorded: [RunErrors(0, None, errors(windows=20))]}
+    text = drawn_from(result_rows(cases, "test", Sampling()))
+    assert "50 blocks" in text.partition("(blind · map)")[0]
+    assert "100 blocks" in text.partition("(blind · recorded)")[0].partition("(blind · map)")[2]
+
+
 def test_each_failed_prediction_counts_once() -> None:
     found = rows([errors((3,)), errors((7,))], [errors((1,))])
     assert [row.n_failed for row in pooled_rows(found)] == [2, 1]

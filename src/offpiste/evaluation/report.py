@@ -314,7 +314,7 @@ def drawn_from(rows: Sequence[ResultRow]) -> str:
     """Describe the numbers of drives, blocks and seeds behind the intervals, by model if they differ."""
     models: dict[str, list[str]] = {}
     for row in rows:
-        models.setdefault(row.levels.text(), []).append(display(row.label))
+        models.setdefault(row.levels.text(), []).append(row.reading_label)
     if not models:
         return ""
     each = [f"{text} ({', '.join(dict.fromkeys(labels))})" for text, labels in models.items()]
