@@ -60,6 +60,7 @@ def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.Capture
     report.mkdir()
     for name in (".offpiste-report", "growth.png"):  # of an evaluation that was killed
         (report / name).touch()
+    (report / "metrics.json").write_text('{"dataset": "other.zarr", "results": [{"model": "dc"}, {"model": "dc"}]}')
     assert run("evaluate", str(folder / "b"), "--dataset", str(folder / "dataset.zarr"), "--out", str(report)) == 0
     metrics = json.loads((report / "metrics.json").read_text())
     assert metrics["schema"] == 2
@@ -68,6 +69,7 @@ def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.Capture
     assert (report / "report.html").stat().st_size > 10_000
     assert not (report / ".offpiste-report").exists()
     message = capsys.readouterr().out
+    assert f"warning: replacing the report of dc on other.zarr in {report}\n" in message
     assert "kinematic" in message
     assert message.splitlines()[-1] == f"next: offpiste calibrate {folder / 'b'} --dataset {folder / 'dataset.zarr'}"
     assert ("–: no interval" in message) == (metrics["windows"]["blocks"] < 3)

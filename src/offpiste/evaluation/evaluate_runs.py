@@ -9,6 +9,7 @@ import numpy as np
 
 from offpiste.core.errors import OffpisteError, RunError
 from offpiste.core.files import check_folder, unfinished
+from offpiste.core.limits import parsed, read_small
 from offpiste.core.shipped import named, run_folder
 from offpiste.dataset.assumptions import assumptions_block, assumptions_of
 from offpiste.dataset.log_findings import warning_line
@@ -17,7 +18,7 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset, open_dataset
 from offpiste.evaluation.evaluate import EvaluatedModel, Evaluation, evaluate_models, named_apart
 from offpiste.evaluation.intervals import MIN_UNITS, Levels
-from offpiste.evaluation.metrics import Start
+from offpiste.evaluation.metrics import Metrics, Start
 from offpiste.evaluation.report import REPORT_FILES, UNFINISHED, terminal_table, write_report
 from offpiste.training.checkpoint import fold_folders
 from offpiste.training.prediction import Lookup
@@ -86,6 +87,8 @@ def evaluate_runs(
         warnings=warnings,
         device=device,
     )
+    if (before := _other_report(out, evaluation.metrics)) is not None:
+        logger.warning(f"replacing the report of {before} in {out}")
     with unfinished(out, UNFINISHED):
         write_report(evaluation, out)
     logger.info(terminal_table(evaluation.metrics.results).text())
@@ -115,6 +118,17 @@ def _warnings(runs: Sequence[Run], models: Sequence[EvaluatedModel], dataset: Da
     for warning in warnings:
         logger.warning(warning)
     return warnings
+
+
+def _other_report(out: Path, metrics: Metrics) -> str | None:
+    """Describe the existing report in a folder if it has other models or data."""
+    try:
+        there = parsed(read_small(out / "metrics.json"))
+        dataset, models = there["dataset"], ", ".join(dict.fromkeys(row["model"] for row in there["results"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    own = ", ".join(dict.fromkeys(row.model for row in metrics.results))
+    return None if (dataset, models) == (metrics.dataset, own) else f"{models} on {dataset}"
 
 
 def _warn_of_slow(dataset: Dataset, min_speed: float | None) -> None:
