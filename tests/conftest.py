@@ -62,13 +62,12 @@ WHOLE_PATHS = (
 
 
 SLOW = (
-    "dynamics/kernels/test_rollout.py::test_kernels_stay_inside_their_arrays",
     "dynamics/header/test_cuda.py::test_kernels_keep_a_step_in_registers[sm_8",
     "documentation/test_tutorials.py::test_a_tutorial_runs_as_it_stands[log-to-model]",
     "documentation/test_tutorials.py::test_a_tutorial_runs_as_it_stands[predict]",
     "experiments/test_pretrained_models.py",
     "golden/test_golden.py::test_golden[findings]", "inspection/test_sensors.py::test_kitti",
-    "planning/test_kernel.py::test_it_never_reads_out_of_bounds", "reproduction/test_data.py::test_portions",
+    "reproduction/test_data.py::test_portions",
     "experiments/inspection_faults/", "experiments/closed_loop_table/", "experiments/control_experiments/",
     "experiments/probe/",
     "experiments/test_unseen_kinds.py",

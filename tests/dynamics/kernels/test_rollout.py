@@ -1,12 +1,8 @@
 """Kernels against the eager model in float64: the rollout, and every gradient that training uses."""
 
 import copy
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
@@ -241,12 +237,3 @@ def test_what_kernels_cannot_do_is_refused() -> None:
     blind = example(("throttle",), (), codes=0, kind=Parametric).float()
     with pytest.raises(DatasetError, match="steering"):
         rollout_recorded(blind, *windows(blind, 3, 2))
-
-
-def test_kernels_stay_inside_their_arrays(bounds_checked: dict[str, str]) -> None:
-    """Rollouts compiled with bounds checks, in another process."""
-    code = "from dynamics.kernels import test_rollout as t, test_actuators as a;"
-    code += "t.compare(t.example(*t.CHANNELS['all'], codes=4, kind=t.Hybrid), 33, 3);"
-    code += "a.test_kernels_agree_with_the_eager_models('all', 33, 3)"
-    paths = os.pathsep.join((str(Path(__file__).parents[2]), *filter(None, sys.path)))
-    subprocess.run([sys.executable, "-c", code], env=bounds_checked | {"PYTHONPATH": paths}, check=True)
