@@ -260,8 +260,7 @@ def increasing(time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     later = np.append(True, time[1:] > np.maximum.accumulate(time)[:-1])
     if len(time) - later.sum() == (np.diff(time) <= 0).sum():
         return later  # each step back costs a row at least
-    earlier = np.append(time[:-1] < np.minimum.accumulate(time[::-1])[::-1][1:], True)
-    return max(later, earlier, _longest_increasing(time), key=np.sum)
+    return max(later, _longest_increasing(time), key=np.sum)
 
 
 def _longest_increasing(time: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

@@ -6,6 +6,7 @@ A format is a subclass of `Log` registered in `LOG_FORMATS`. `offpiste.logs.form
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from shlex import quote
@@ -14,7 +15,7 @@ from typing import Any, ClassVar, Final, NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
-from offpiste.core.errors import LogError, SeveralLogs, did_you_mean
+from offpiste.core.errors import LogError, SeveralLogs, TooLarge, did_you_mean
 from offpiste.core.object_store import refuse_url
 from offpiste.core.registry import Registry
 from offpiste.logs.transforms import Transform, listed
@@ -161,8 +162,8 @@ class Log(ABC):
 
     @classmethod
     def open(cls, path: Path, clock: Clock) -> "Log":
-        """Open a log of this format; formats with a clock of their own ignore the rig's `clock`."""
-        return cls(path)  # type: ignore[call-arg]
+        """Open a log of this format; those without `has_clock_unit` ignore the rig's `clock`."""
+        return cls(path, clock=clock) if cls.has_clock_unit else cls(path)  # type: ignore[call-arg]
 
     @property
     @abstractmethod
@@ -289,6 +290,20 @@ def contents_of(folder: Path) -> tuple[list[str], list[str]]:
     names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
     logs = [name for name in names if any(kind.recognises(folder / name) for kind in formats)]
     return logs, [name for name in names if name not in logs]
+
+
+@contextmanager
+def as_log_error(path: Path, what: str, how: str) -> Iterator[None]:
+    """Turn errors of libraries, which let through those of struct, lz4, SQLite and others, into one line."""
+    try:
+        yield
+    except TooLarge as error:
+        raise TooLarge(error.what, where=error.where or path, how=error.how) from error
+    except LogError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise LogError(f"{what}: {reason}", where=path, how=how) from error
 
 
 def _formats(capability: str) -> str:

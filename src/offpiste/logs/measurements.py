@@ -111,7 +111,7 @@ def body_from_sensor(
 def refuse_rough(log: Log, entries: Mapping[str, CameraSource | LidarSource]) -> None:
     """Refuse mountings that are rough guesses."""
     for name, entry in entries.items():
-        if entry.mounting is not None and entry.mounting.is_rough:
+        if entry.mounting is not None and entry.mounting.looks:
             what = f"the mounting of '{name}' is a rough guess, looks = \"{entry.mounting.looks}\""
             how = "run `offpiste inspect LOG --rig RIG --estimate-mountings`, and put its lines into the rig"
             raise LogError(what, where=log.path, how=how)

@@ -8,6 +8,7 @@ shift is kept, as a jump.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -72,8 +73,7 @@ class Plausible:
     """Samples that a vehicle can have produced."""
 
     keep: Bool[np.ndarray, " n"]  # samples to keep
-    jumps: Int[np.ndarray, " j"]  # kept samples that follow a remaining jump
-    sizes: Float[np.ndarray, " j"]  # distances of the jumps from the vehicle's motion [m or rad]
+    jumps: tuple[tuple[int, float], ...] = ()  # kept samples after remaining jumps, and the jumps' sizes [m or rad]
     hopeless: bool = False  # nothing was dropped, since too much would have been
 
 
@@ -93,11 +93,11 @@ def plausible(name: str, time: Float[np.ndarray, " n"], values: Float[np.ndarray
     index = np.arange(count)
     fresh = np.append(0, np.flatnonzero(_norm(between(index[:-1], index[1:])) > _SAME) + 1)
     if len(fresh) < 2 * _BESIDE:
-        return Plausible(np.ones(count, bool), np.zeros(0, int), np.zeros(0))
+        return Plausible(np.ones(count, bool))
     resolution = float(_norm(np.array([_resolution(column) for column in values.T]))) if name == "position" else 0.0
     steps = _Steps(time, fresh, between, limits, resolution)
-    nothing = Plausible(np.ones(count, bool), np.zeros(0, int), np.zeros(0), hopeless=bool(steps.fault.any()))
-    if not steps.fault.any():
+    nothing = Plausible(np.ones(count, bool), hopeless=bool(steps.fault.any()))
+    if not nothing.hopeless:
         return nothing
     segments = _Segments(steps)
     single = segments.first == segments.last
@@ -113,9 +113,9 @@ def plausible(name: str, time: Float[np.ndarray, " n"], values: Float[np.ndarray
     keep = np.zeros(count, bool)
     for first, end in zip(segments.first[chain], ends, strict=True):
         keep[first:end] = True
-    links = [segments.links(chain[k - 1 : k], int(chain[k])) for k in range(1, len(chain))]
-    jumps = [(segments.first[to], off[0]) for to, (cost, off) in zip(chain[1:], links, strict=True) if cost[0] > 0]
-    return Plausible(keep, np.array([at for at, _ in jumps], int), np.array([size for _, size in jumps], float))
+    links = ((int(to), *segments.links(np.array([origin]), int(to))) for origin, to in pairwise(chain))
+    jumps = tuple((int(segments.first[to]), float(off[0])) for to, cost, off in links if cost[0] > 0)
+    return Plausible(keep, jumps)
 
 
 def held_while_driving(time: Float[np.ndarray, " n"], position: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " n"]:

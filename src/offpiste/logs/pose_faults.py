@@ -119,9 +119,10 @@ def without_faults(
         if len(kept) < len(time):
             result[name] = replace(channel, time=time[kept], values=channel.values[kept])
             dropped += _runs(channel, numbers[name], kept, held)
-        for at, size in zip(fresh[found.jumps], found.sizes, strict=True):
+        for number, size in found.jumps:
+            at = fresh[number]
             before = time[kept[np.searchsorted(kept, at) - 1]]
-            jumps.append(PoseJump(name, float(before), float(time[at]), float(time[at] - time[0]), float(size)))
+            jumps.append(PoseJump(name, float(before), float(time[at]), float(time[at] - time[0]), size))
     return result, PoseFaults(tuple(dropped), tuple(jumps), tuple(hopeless))
 
 

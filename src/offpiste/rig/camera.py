@@ -92,12 +92,9 @@ class CameraModel:
     def edges(self) -> tuple[Float[np.ndarray, "_ 2"], ...]:
         """Return the directions (x / z, y / z) of the pixels along the left, right, top and bottom edge."""
         columns, rows = np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64)
-        return (
-            self.unproject(np.column_stack((np.zeros_like(rows), rows))),
-            self.unproject(np.column_stack((np.full_like(rows, self.width - 1), rows))),
-            self.unproject(np.column_stack((columns, np.zeros_like(columns)))),
-            self.unproject(np.column_stack((columns, np.full_like(columns, self.height - 1)))),
-        )
+        sides = [np.column_stack((np.full_like(rows, x), rows)) for x in (0, self.width - 1)]
+        sides += [np.column_stack((columns, np.full_like(columns, y))) for y in (0, self.height - 1)]
+        return tuple(self.unproject(side) for side in sides)
 
 
 def model_from_intrinsics(given: Intrinsics) -> CameraModel:

@@ -210,32 +210,20 @@ def _check_source(key: str, name: str, source: ChannelSource, max_steer: float) 
     refuse((count not in counts, f"{key}.fields has {count} entries", f"it takes {' or '.join(map(str, counts))}"))
     unit_factor(name, source.unit, max_steer)
     without_speed = name == "steer" and (count == 2) != (source.unit in TURN_RATES)
+    turn = 'a commanded turn rate takes two, turn rate and speed: fields = ["angular.z", "linear.x"], unit = "rad/s"; '
     unframed = name in ("linear_velocity", "angular_velocity") and not source.frame
+    frame, unnamed = '"world", "body" or "unknown"', source.joints and len(source.joints) != count
+    misplaced, late = source.origin and source.unit != GEOGRAPHIC, source.interpolation == "on change" and measured
+    fields = f"{count} field{'s' * (count == 2)} in '{source.unit or 1}'"
+    only, fix = 'set interpolation = "on change" for controls and actuators only', "remove it, or fix the unit"
     refuse(
-        (
-            without_speed,
-            f"{key} has {count} field{'s' * (count == 2)} in '{source.unit or 1}'",
-            'a commanded turn rate takes two, turn rate and speed: fields = ["angular.z", "linear.x"], unit = "rad/s"; '
-            "other commands take one",
-        ),
+        (without_speed, f"{key} has {fields}", f"{turn}other commands take one"),
         (source.meanings() and count != 1, f"{key}.values needs a single field", "remove it"),
-        (
-            source.joints and len(source.joints) != count,
-            f"{key}.joints must name every field",
-            "name each, or remove it",
-        ),
-        (
-            source.origin and source.unit != GEOGRAPHIC,
-            f"{key}.origin is given, and the unit is not '{GEOGRAPHIC}'",
-            "remove it, or fix the unit",
-        ),
-        (unframed, f"{key}.frame is missing", 'set "world", "body" or "unknown"; `offpiste inspect` shows which fits'),
+        (unnamed, f"{key}.joints must name every field", "name each, or remove it"),
+        (misplaced, f"{key}.origin is given, and the unit is not '{GEOGRAPHIC}'", fix),
+        (unframed, f"{key}.frame is missing", f"set {frame}; `offpiste inspect` shows which fits"),
         (source.absolute and measured, f"{key}.absolute would drop its sign", "set it for controls only"),
-        (
-            source.interpolation == "on change" and measured,
-            f"{key} is a measurement, which changes between messages",
-            'set interpolation = "on change" for controls and actuators only',
-        ),
+        (late, f"{key} is a measurement, which changes between messages", only),
     )
 
 

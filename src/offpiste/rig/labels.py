@@ -17,14 +17,6 @@ from offpiste.rig.rig import Rig
 
 _SINCE_1970: Final = (1.0e9, 4.1e9)
 """Seconds from 1970 to 2001 and to 2100."""
-COMMANDED: Final = re.compile(r"cmd|com+and|desired|target|setpoint|servo|(?<![a-z])(des|ref)(?![a-z])", re.IGNORECASE)
-"""Names of commands."""
-MEASURED: Final = re.compile(
-    r"status|report|rpt|feedback|measured|actual|steered|car_?state|handle_?bar|"
-    r"(steer(ing)?|str|stg|hand)[ _]?(wheel|whl)[ _]?(ang|pos)",
-    re.IGNORECASE,
-)
-"""Names of measured steering, unless `COMMANDED` matches, too."""
 RATES: Final = (0.2, 20_000.0)
 """Plausible sampling rates of recordings [Hz]."""
 
@@ -32,6 +24,11 @@ _TABLES: Final = tomllib.loads((resources.files("offpiste.rig") / "labels.toml")
 
 _PATTERNS: Final = {name: re.compile(pattern) for name, pattern in _TABLES["patterns"].items()}
 """Patterns of names (see labels.toml)."""
+COMMANDED, MEASURED = _PATTERNS["commanded"], _PATTERNS["measured"]
+"""Patterns of names of commands, and of measured steering unless `COMMANDED` matches, too."""
+GEOGRAPHIC_NAMES: Final = tuple(_PATTERNS[name] for name in ("latitude", "longitude", "height"))
+COURSE_NAMES: Final = _PATTERNS["course_over_ground"].pattern
+"""Pattern of names of a course over ground, without its boundaries."""
 PRESSURES: Final = frozenset(("pa", "kpa", "mpa", "bar", "psi"))
 """Units of pressures."""
 
@@ -42,18 +39,11 @@ _BRACKETED: Final = _UNITS | {unit: unit for unit in _TABLES["other_units"]["in_
 _AFTER: Final[dict[str, str]] = {spelling: unit for spelling, unit in _UNITS.items() if unit != "1"} | _TABLES[
     "other_units"
 ]["as_suffixes"]
-_WORD_BEGINS: Final = re.compile(r"(?<=[a-z0-9])(?=[A-Z])(?!(?<=[\W_][mk])(V|A|W|Pa|Hz)(?![a-z]))")
-"""Starts of words marked by a capital, except in units such as mV or kPa."""
-_BRACKET: Final = re.compile(r"^(.*?)[\s_]*(?:\[([^\[\]]*)\]|\(([^()]*)\)|\{([^{}]*)\}|<([^<>]*)>)$")
-_WORDED: Final = re.compile(r"^(.*\S)(?:\s+/\s*|,\s*|\s+in\s+)\(?([^\s()]+)\)?$")
 _SUFFIX: Final = re.compile(
     r"^(.*?[^\W_])(?:[_\s-]+("
     + "|".join(re.escape(s) for s in sorted(_AFTER, key=len, reverse=True))
     + r")|\s*([%‰°º]))$"
 )
-_NUMBER_ONLY: Final = re.compile(r"[/.](data|value)$")
-_COMMENT: Final = re.compile(r"^ *(#+|//+|%+(?!.*[,;|\t] *%)) *(?=[^\s,;|])")
-"""Comment sign before a header, as numpy.savetxt or `rostopic echo -p` writes it; signs before each name are units."""
 _NAMES: Final = {"rpm"}
 """Units that are also the name of a quantity and stay part of it."""
 
@@ -73,13 +63,13 @@ def parse_label(header: str) -> Label:
 
 
 def _as_written(header: str) -> Label:
-    text = _WORD_BEGINS.sub("_", header.strip()).lower()
+    text = _PATTERNS["word_begins"].sub("_", header.strip()).lower()
     # `x[m]`, then `x / m` and `x, m`, then `x_m`.
-    if (match := _BRACKET.match(text)) and match[1]:
+    if (match := _PATTERNS["bracket"].match(text)) and match[1]:
         name, inside = match[1], next(group for group in match.groups()[1:] if group is not None)
         if (unit := unit_of(inside)) is not None:
             return Label(name.strip(" /,"), unit)
-    if (match := _WORDED.match(text)) and (unit := unit_of(match[2])) is not None:
+    if (match := _PATTERNS["worded"].match(text)) and (unit := unit_of(match[2])) is not None:
         return Label(match[1].strip(), unit)
     if (match := _SUFFIX.match(text)) and (match[2] != "psi" or _PATTERNS["pressed"].search(match[1])):
         spelling = match[2] or match[3]
@@ -105,7 +95,7 @@ def field_labels(
         by_topic = len(fields) <= 2 or (topic and (alone or asked))
         whole = joints.get(name) or (f"{topic}/{name}" if by_topic else name)
         label = parse_label(whole)
-        if not label.unit and (number := _NUMBER_ONLY.search(label.name)):
+        if not label.unit and (number := _PATTERNS["number_only"].search(label.name)):
             label = parse_label(whole[: number.start()])
         result[name] = Label(label.name, units.get(name, "") or label.unit)
     return result
@@ -123,7 +113,7 @@ def is_array_entry(field: str) -> bool:
 
 def without_comment(header: str) -> str:
     """Remove the comment sign of a header, or of the first name in it."""
-    return _COMMENT.sub("", header)
+    return _PATTERNS["comment"].sub("", header)
 
 
 def unit_of(text: str) -> str | None:
@@ -173,15 +163,6 @@ def are_since_1970(stamps: Float[np.ndarray, " n"]) -> bool:
 _AXIS_WORDS: Final = tuple(
     (re.compile(rf"(?<![a-z]){each['words']}(?![a-z])"), each["letters"]) for each in _TABLES["axes"]
 )
-_DOWN_NAME: Final = re.compile(r"(?<![a-z])(d|down)$")
-_AXIS_NAME: Final = re.compile(r"(?<![a-z])[pt]?([xyz])(?![a-z])")
-GEOGRAPHIC_NAMES: Final = tuple(
-    re.compile(rf"(?<![a-z])({words})$")
-    for words in ("lat|latitude", "lon|lng|long|longitude", "alt|altitude|height|elevation")
-)
-"""Patterns of names of latitude, longitude and height."""
-COURSE_NAMES: Final = r"track|head(ing)?_?(of_?)?mot(ion)?|trk_gnd|course([_ ]over[_ ]ground|[_ ]?angle)?|cog"
-"""Pattern of names of a course over ground, without its boundaries."""
 
 
 def with_letters(name: str) -> str:
@@ -199,14 +180,12 @@ def named_axis(field: str) -> str:
 def named_coordinate(field: str) -> str:
     """Return the geographic coordinate in the name of a position's field: "lat" or "lon"; "" for none."""
     name = parse_label(field).name
-    return next(
-        (what for what, pattern in zip(("lat", "lon"), GEOGRAPHIC_NAMES, strict=False) if pattern.search(name)), ""
-    )
+    return next((what for what in ("latitude", "longitude") if _PATTERNS[what].search(name)), "")[:3]
 
 
 def named_down(field: str) -> bool:
     """Return whether a position's field is named as a coordinate that points down."""
-    return _DOWN_NAME.search(parse_label(field).name) is not None
+    return _PATTERNS["down"].search(parse_label(field).name) is not None
 
 
 def named_direction(field: str) -> bool:
@@ -220,7 +199,7 @@ def named_course(field: str) -> bool:
 
 
 def _last_letter(name: str) -> str:
-    found = _AXIS_NAME.findall(name)
+    found = _PATTERNS["axis"].findall(name)
     return str(found[-1]) if found else ""
 
 

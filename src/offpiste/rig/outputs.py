@@ -1,13 +1,11 @@
 """Command messages to the vehicle, and their limits, timeouts and enabling switch."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import msgspec
 import numpy as np
 from msgspec import Meta
-from msgspec.structs import replace
 
 from offpiste.core.errors import RigError
 from offpiste.rig.channels import TURN_RATES, unit_factor
@@ -123,10 +121,6 @@ class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     timeouts: Timeouts = Timeouts()
     types: dict[TopicName, MessageType] = {}
     definitions: tuple[str, ...] = ()
-
-    def beside(self, folder: Path) -> "Live":
-        """Return the same settings with absolute paths of definitions."""
-        return replace(self, definitions=tuple(str(folder / name) for name in self.definitions))
 
 
 def can_reverse(outputs: Mapping[str, Output]) -> bool:

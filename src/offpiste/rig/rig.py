@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 from msgspec import Meta
+from msgspec.structs import replace
 
 from offpiste.core.channels import Actuator, Control, actuator_columns, all_actuators, control_columns
 from offpiste.core.errors import RigError, did_you_mean
@@ -17,7 +18,7 @@ from offpiste.core.registry import load_extensions
 from offpiste.rig.channels import Alignment, ChannelSource, Clock, check_channels
 from offpiste.rig.outputs import Live, Output, check_outputs
 from offpiste.rig.schema import Positive, converted, refuse
-from offpiste.rig.sensors import CameraSource, Frames, LidarSource, beside, check_sensors
+from offpiste.rig.sensors import CameraSource, Frames, LidarSource, check_sensors
 
 GUESSED: Final = "GUESSED"
 """Prefix of `Vehicle.source` in a drafted rig."""
@@ -145,7 +146,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def without_slope(self) -> "Rig":
         """Return the rig with flat ground in place of the driven path's slope (an ablation)."""
-        return msgspec.structs.replace(self, motion=msgspec.structs.replace(self.motion, normals="flat"))
+        return replace(self, motion=replace(self.motion, normals="flat"))
 
     def reads_alike(self, *channels: str) -> bool:
         """Return whether all of these channels exist and read the same fields."""
@@ -166,8 +167,10 @@ def load_rig(name: str | Path) -> Rig:
     rig = parse_rig(rig_text(name), where=str(name))
     if _is_preset(name):
         return rig
-    folder = Path(name).resolve().parent
-    return msgspec.structs.replace(rig, cameras=beside(rig.cameras, folder), live=rig.live.beside(folder))
+    folder = Path(name).resolve().parent  # of paths in the file
+    cameras = {n: replace(c, mask=str(folder / c.mask)) if c.mask else c for n, c in rig.cameras.items()}
+    live = replace(rig.live, definitions=tuple(str(folder / path) for path in rig.live.definitions))
+    return replace(rig, cameras=cameras, live=live)
 
 
 def rig_text(name: str | Path) -> str:

@@ -1,13 +1,11 @@
 """Cameras and LiDARs of a rig: topics, mountings and calibrations."""
 
-from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
 from msgspec import Meta
-from msgspec.structs import replace
 
 from offpiste.core.errors import RigError
 from offpiste.rig.schema import Finite, Positive, refuse
@@ -50,11 +48,6 @@ class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     position: tuple[Finite, Finite, Finite] | None = None
     orientation: tuple[float, float, float, float] | None = None
     looks: Literal["", "forward", "left", "back", "right"] = ""
-
-    @property
-    def is_rough(self) -> bool:
-        """True for a rough guess."""
-        return bool(self.looks)
 
     def matrix(self, *, optical: bool = False) -> Float[np.ndarray, "4 4"]:
         """Return `body_from_sensor`; `optical` applies `looks` to a camera (z forward, x right, y down)."""
@@ -141,11 +134,6 @@ def check_sensors(cameras: dict[str, CameraSource], lidars: dict[str, LidarSourc
         _check_camera(f"cameras.{name}", camera)
     for name, lidar in lidars.items():
         _check_lidar(f"lidars.{name}", lidar)
-
-
-def beside(cameras: dict[str, CameraSource], folder: Path) -> dict[str, CameraSource]:
-    """Return cameras whose mask paths are absolute, from paths relative to a rig file's folder."""
-    return {name: replace(c, mask=str(folder / c.mask)) if c.mask else c for name, c in cameras.items()}
 
 
 def _check_camera(key: str, camera: CameraSource) -> None:

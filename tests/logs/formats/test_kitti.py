@@ -161,5 +161,5 @@ def test_a_link_to_a_drive_finds_the_days_calibration(tmp_path, data_folder):
     drive.rename(elsewhere / "drive_sync")
     (day / "drive_sync").symlink_to(elsewhere / "drive_sync")
     assert len(KittiLog(day / "drive_sync").transforms([])) == 2
-    with pytest.raises(LogError, match="no calibration file; put the day's calibration files into the folder above"):
+    with pytest.raises(LogError, match=r"no calibration file: .*; put the day's calibration files into the folder"):
         KittiLog(elsewhere / "drive_sync").transforms([])

@@ -22,20 +22,21 @@ from offpiste.logs.ros.bag_files import (
     Head,
     MakeDecoder,
     Reader,
+    field_getter,
     fields_of,
     head_reader,
     open_readers,
     reported,
-    row_reader,
     stamp_of,
     storage_files,
     typestore_of,
     whole_messages,
 )
 from offpiste.logs.ros.bounds import Rosbag1
+from offpiste.logs.ros.image_encodings import pixels_of
 from offpiste.logs.ros.mcap_columns import Columns, columns_of
 from offpiste.logs.ros.mcap_recovery import StreamedMcap
-from offpiste.logs.ros.sensor_messages import Joints, clouds_of, frame_of, has_joints, images_of
+from offpiste.logs.ros.sensor_messages import Joints, frame_of, has_joints, points_from_message
 from offpiste.logs.transforms import (
     STAMPED,
     STAMPED_FIELDS,
@@ -130,9 +131,8 @@ class BagLog(Log):
         columns = self._columns(result)
         if columns is not None:
             return np.concatenate([one.seconds(stamps) for one in columns])
-        return np.array(
-            [stamp_of(at, head, stamps) for at, head in self._messages(result.name, result.type, _heads_or_messages)]
-        )
+        heads = self._messages(result.name, result.type, lambda *given: head_reader(*given) or whole_messages(*given))
+        return np.array([stamp_of(received, head, stamps) for received, head in heads])
 
     def _describe(self, name: str, notes: list[str]) -> Topic:
         connections = [c for reader in self._readers for c in reader.connections if c.topic == name]
@@ -252,7 +252,8 @@ class BagLog(Log):
         if columns is not None and all(set(fields) <= set(one.fields) for one in columns):
             parts = [one.values[:, [one.fields.index(f) for f in fields]] for one in columns]
             return Samples(np.concatenate([one.seconds(stamps) for one in columns]), np.concatenate(parts))
-        read = row_reader(fields) if joints is None else joints.reader(fields)
+        getters = [field_getter(field) for field in fields]
+        read = joints.reader(fields) if joints is not None else lambda message: [get(message) for get in getters]
         time, rows = [], []
         for received, message in self._messages(topic.name, topic.type):
             time.append(stamp_of(received, message, stamps))
@@ -289,11 +290,13 @@ class BagLog(Log):
 
     def images(self, topic: str, *, stamps: str = "header", times: Times | None = None) -> Iterator[RawImage]:
         """Yield images of sensor_msgs/CompressedImage and Image; some `times` by the file's index."""
-        return images_of(self._typed(topic, _IMAGE_TYPES, stamps, times), topic)
+        for time, message in self._typed(topic, _IMAGE_TYPES, stamps, times):
+            yield RawImage(time, frame_of(message), pixels_of(message, topic))
 
     def clouds(self, topic: str, *, stamps: str = "header", times: Times | None = None) -> Iterator[RawCloud]:
         """Yield point clouds of sensor_msgs/PointCloud2; some `times` by the file's index."""
-        return clouds_of(self._typed(topic, _CLOUD_TYPES, stamps, times))
+        for time, message in self._typed(topic, _CLOUD_TYPES, stamps, times):
+            yield RawCloud(time, frame_of(message), points_from_message(message))
 
     def _at(self, topic: Topic, times: Times, stamps: str) -> Iterator[tuple[float, Any]]:
         """Yield the messages with given stamps, found by their arrival in an indexed file."""
@@ -330,10 +333,6 @@ def _heads(connection: Connection, path: Path) -> Callable[[bytes], Head]:
     if read is None:
         raise LogError("no header", where=path)
     return read
-
-
-def _heads_or_messages(connection: Connection, path: Path) -> Callable[[bytes], object]:
-    return head_reader(connection, path) or whole_messages(connection, path)
 
 
 def _others(readers: Sequence[Reader], path: Path) -> list[str]:

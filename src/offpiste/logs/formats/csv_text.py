@@ -4,8 +4,10 @@ import codecs
 import csv
 import io
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +18,7 @@ import pyarrow.csv as pa_csv
 from jaxtyping import Float
 
 from offpiste.core.errors import LogError
+from offpiste.logs.log import as_log_error
 from offpiste.rig.labels import unit_of, without_comment
 
 _TEXT_BOOLEANS = {"true": 1.0, "false": 0.0}
@@ -29,44 +32,17 @@ _SAMPLE: Final = 1 << 20
 _NOTHING: Final = [*pa_csv.ConvertOptions().null_values, "-", "--"]
 """Empty cells, including dashes of loggers."""
 _SEPARATORS = ",;\t|"
-_WITH_UNIT: Final = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*([^\d\s.+-].*?)\s*")
-"""Number with its unit in one cell."""
-_EXAMPLES = {5: ("t", "x", "y", "yaw", "steer"), 8: ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")}
-"""Example headers by number of columns; eight are those of TUM trajectories."""
 _MOST_GEARS = 16
 """Largest number of distinct gears; a column with more numbers holds measurements, and a letter in it is a mistake."""
-_GEARS: Final = {
-    "park": "P", "parking": "P", "parked": "P", "reverse": "R", "reversing": "R", "backward": "R", "backwards": "R",
-    "neutral": "N", "stop": "N", "stopped": "N", "standstill": "N", "halt": "N", "halted": "N",
-    "drive": "D", "forward": "D", "forwards": "D",
-}  # fmt: skip
-"""Letters of gears by their words in logs."""
 _UTF_16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 """Byte order marks of UTF-16, as spreadsheets write it."""
-_DATE_AND_TIME: Final = re.compile(
-    r"(?<!\S)(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}) +(\d\d?:\d\d:\d\d[.\d]*)(?!\S)"
-)
-"""Stamp with a space in it, which is one cell."""
-_SECTION: Final = re.compile(r"^\[([\w ]+)\]\s*$", re.MULTILINE)
-"""Heading of a section of a .vbo file."""
-_RACELOGIC: Final = {
-    "lat": "latitude (deg)", "long": "longitude (deg)", "velocity": "velocity (km/h)", "heading": "heading (deg)",
-    "height": "height (m)", "vert-vel": "vertical velocity (m/s)",
-}  # fmt: skip
-"""Standard columns of Racelogic files."""
 _MINUTES: Final = {"lat": 1 / 60, "long": -1 / 60}
 """Degrees per minute of arc; longitudes count to the west."""
-_CLOCK: Final = re.compile(
-    r"(?:(?P<date>.*?)[T ,_-]+|)(?P<hours>\d{1,2}):(?P<minutes>\d\d):(?P<seconds>\d\d(?:[.,:]\d+)?)"
-    r"\s*(?P<half>[ap])?\.?(?:m\.?)?\s*(?:z|utc|gmt|[+-]\d\d:?\d\d)?",
-    re.IGNORECASE,
-)
-"""Time of day, with or without a date before it."""
-_COMPACT: Final = re.compile(
-    r"(?P<date>\d{8})[T _-](?P<hours>\d\d)(?P<minutes>\d\d)(?P<seconds>\d\d(?:[.,]\d+)?)(?P<half>)Z?", re.IGNORECASE
-)
-"""Date and time of day without separators."""
 _DAY: Final = 86_400.0
+_TABLES: Final = tomllib.loads((resources.files(__package__) / "tables.toml").read_text("utf-8"))
+_GEARS: Final = {word: letter for letter, words in _TABLES["gears"].items() for word in words}
+PATTERNS: Final = {name: re.compile(text, re.IGNORECASE) for name, text in _TABLES["patterns"].items()}
+"""Patterns of names and cells (see tables.toml)."""
 
 
 def number_of(cell: str) -> float | None:
@@ -79,33 +55,21 @@ def number_of(cell: str) -> float | None:
         return _TEXT_BOOLEANS.get(cell.strip().lower())
 
 
-def _gear_letter(word: str) -> str:
-    """Return the letter of a word for a gear (P, R, N or D); single letters as they are, "" for other words."""
-    return word if len(word) == 1 and word.isalpha() else _GEARS.get(word.lower(), "")
-
-
-def gear_of(cell: str) -> float:
-    """Return the number of a gear, or the character code of its letter."""
+def gear_of(cell: str) -> float | None:
+    """Return the number of a gear, or the character code of its letter, also for a word; None for other words."""
     number = number_of(cell)
-    return float(ord(_gear_letter(cell))) if number is None else number
+    letter = cell if len(cell) == 1 and cell.isalpha() else _GEARS.get(cell.lower())
+    return float(ord(letter)) if number is None and letter else number
 
 
 def are_gears(cells: pa.ChunkedArray) -> bool:
     """Return whether cells are letters or words of gears, possibly with numbers of gears, some repeated."""
     cells = cells.drop_null()
     there = pc.unique(pc.utf8_trim_whitespace(cells)).to_pylist() if len(cells) else []
-    letters = [_gear_letter(cell) for cell in there if number_of(cell) is None]
-    numbers = len(there) - len(letters)
-    gears = not numbers or (numbers <= _MOST_GEARS and set(letters) <= set("PRND"))
-    return len(letters) > 0 and len(there) < len(cells) and all(letters) and gears
-
-
-def unknown_words(cells: pa.ChunkedArray) -> list[str]:
-    """Return the unknown words in a column of gears; none in other columns."""
-    there = pc.unique(pc.utf8_trim_whitespace(cells.drop_null())).to_pylist()
-    words = [cell for cell in there if cell and number_of(cell) is None] if len(there) <= _MOST_GEARS else []
-    gears = {_gear_letter(word) for word in words} & set("PRND")
-    return [word for word in words if not _gear_letter(word)] if gears else []
+    letters = {gear_of(cell) for cell in there if number_of(cell) is None}
+    numbers = sum(number_of(cell) is not None for cell in there)
+    mixed = numbers <= _MOST_GEARS and letters <= set(map(float, b"PRND"))
+    return bool(letters) and None not in letters and len(there) < len(cells) and (not numbers or mixed)
 
 
 def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Table, int]:
@@ -135,7 +99,7 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
         notes.append(f"columns are separated by '{delimiter}'{decimals}".replace("\t", "tab").replace("' '", "spaces"))
     names = [name.strip() for name in _cells([header], delimiter, path)[0]]
     if 2 * sum(number_of(name) is not None for name in names) > len(names):
-        example = _EXAMPLES.get(len(names), _EXAMPLES[5])
+        example = _TABLES["examples"].get(str(len(names)), _TABLES["examples"]["5"])
         how = f"write the names of the columns into the first line, such as {delimiter.join(example)}"
         raise LogError(f"no header line above {len(names)} columns of numbers", where=path, how=how)
     if spaces:
@@ -149,19 +113,14 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
         names = [f"{name} ({word})" if word and name in names[:k] else name for k, (name, word) in enumerate(pairs)]
     check_columns(path, names)
     units |= {name: unit for name, unit in zip(names, own, strict=False) if unit}
+    text = _in_one_space(text) if spaces else text
     as_text = pa_csv.ConvertOptions(
         column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True, null_values=_NOTHING
     )
+    dialect = pa_csv.ParseOptions(delimiter=delimiter, invalid_row_handler=lambda row: _skip_or_error(row, text, notes))
+    reading = pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=above + 1 + between)
     try:
-        text = _in_one_space(text) if spaces else text
-        table = pa_csv.read_csv(
-            pa.BufferReader(text),
-            read_options=pa_csv.ReadOptions(use_threads=False, column_names=names, skip_rows=above + 1 + between),
-            parse_options=pa_csv.ParseOptions(
-                delimiter=delimiter, invalid_row_handler=lambda row: _skip_or_error(row, text, notes)
-            ),
-            convert_options=as_text,
-        )
+        table = pa_csv.read_csv(pa.BufferReader(text), reading, dialect, as_text)
     except pa.ArrowException as error:
         raise LogError(str(error), where=path, how="fix that line") from error
     if table.num_rows == 0:
@@ -175,7 +134,7 @@ def _without_units(table: pa.Table, units: dict[str, str]) -> pa.Table:
     """Remove a common unit behind the numbers of a column, `0.05 sec`, and add it to `units`."""
     for at, name in enumerate(table.column_names):
         cells = table[name].drop_null().slice(0, 100).to_pylist()
-        behind = {match[1] if (match := _WITH_UNIT.fullmatch(cell)) else "" for cell in cells}
+        behind = {match[1] if (match := PATTERNS["with_unit"].fullmatch(cell)) else "" for cell in cells}
         if len(behind) == 1 and (unit := unit_of(spelled := behind.pop())):
             numbers = pc.replace_substring_regex(table[name], rf"\s*{re.escape(spelled)}\s*$", "")
             table = table.set_column(at, name, numbers)
@@ -200,7 +159,7 @@ def _are_numbers(line: str, separators: str) -> bool:
     """Return whether a line has several cells between these separators, most of which are numbers."""
     if any(other in line for other in _SEPARATORS if other not in separators):
         return False
-    cells = re.split(f"[{re.escape(separators)}]+", _DATE_AND_TIME.sub("0", line.strip()))
+    cells = re.split(f"[{re.escape(separators)}]+", PATTERNS["date_and_time"].sub("0", line.strip()))
     return len(cells) > 1 and 2 * sum(number_of(cell) is not None for cell in cells) > len(cells)
 
 
@@ -217,7 +176,7 @@ def _as_many_as_cells(names: list[str], header: str, row: str, path: Path) -> li
 
     Two names above the date and the time of a stamp become one.
     """
-    cells, parts = _DATE_AND_TIME.sub(r"\1T\2", row).split(), row.split()
+    cells, parts = PATTERNS["date_and_time"].sub(r"\1T\2", row).split(), row.split()
     if len(names) == len(parts) == len(cells) + 1:
         at = next(at for at, (cell, part) in enumerate(zip(cells, parts, strict=False)) if cell != part)
         return [*names[:at], " ".join(names[at : at + 2]), *names[at + 2 :]]
@@ -231,10 +190,8 @@ def _as_many_as_cells(names: list[str], header: str, row: str, path: Path) -> li
 
 
 def _cells(lines: Sequence[str], delimiter: str, path: Path) -> list[list[str]]:
-    try:
+    with as_log_error(path, "not a table", "export it again"):
         return list(csv.reader(lines, delimiter=delimiter))
-    except csv.Error as error:
-        raise LogError(f"not a table: {error}", where=path, how="export it again") from error
 
 
 def _lines_above_header(table: Sequence[Sequence[str]]) -> int:
@@ -323,7 +280,7 @@ def clock_times(cells: pa.ChunkedArray) -> Float[np.ndarray, " n"] | None:
     for row, cell in enumerate(cells.to_pylist()):
         if cell is None or not cell.strip():
             continue
-        match = _CLOCK.fullmatch(cell.strip()) or _COMPACT.fullmatch(cell.strip())
+        match = PATTERNS["clock"].fullmatch(cell.strip()) or PATTERNS["compact"].fullmatch(cell.strip())
         if match is None:
             return None
         hours, date = int(match["hours"]), match["date"] or ""
@@ -358,13 +315,13 @@ def without_clock_face(stamps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n
 
 def _in_one_space(text: bytes) -> bytes:
     """Reduce separators to single spaces, and remove spaces within stamps."""
-    lines = (" ".join(line.split()) for line in text.decode("utf-8", "surrogateescape").split("\n"))
-    return "\n".join(_DATE_AND_TIME.sub(r"\1T\2", line) for line in lines if line).encode("utf-8", "surrogateescape")
+    lines = (" ".join(line.split()) for line in text.decode().split("\n"))
+    return "\n".join(PATTERNS["date_and_time"].sub(r"\1T\2", line) for line in lines if line).encode()
 
 
 def _of_racelogic(text: str) -> str | None:
     """Convert a .vbo file of Racelogic, whose sections hold names, units and rows."""
-    parts = _SECTION.split(text)
+    parts = PATTERNS["section"].split(text)
     sections = dict(zip(parts[1::2], parts[2::2], strict=True))
     if not {"column names", "data"} <= set(sections):
         return None
@@ -373,12 +330,12 @@ def _of_racelogic(text: str) -> str | None:
     # Files list the units of all columns, or of the last columns only.
     known = {name: f"{name} ({unit})" for name, unit in zip(reversed(names), reversed(units), strict=False)}
     known = {name: label.removesuffix(" ((null))") for name, label in known.items()}
-    lines = [[_RACELOGIC.get(name.lower()) or known.get(name, name) for name in names]]
+    lines = [[_TABLES["racelogic"].get(name.lower()) or known.get(name, name) for name in names]]
     factors = {place: _MINUTES[name.lower()] for place, name in enumerate(names) if name.lower() in _MINUTES}
     for line in filter(str.strip, sections["data"].splitlines()):
         cells = line.split()
         for place, factor in factors.items():  # invalid or excess cells are left to the reader of tables
-            if place < len(cells) and re.fullmatch(r"[+-]?[\d.]+", cells[place]):
-                cells[place] = repr(factor * float(cells[place]))
+            if place < len(cells) and (minutes := number_of(cells[place])) is not None:
+                cells[place] = repr(factor * minutes)
         lines.append(cells)
     return "\n".join(map(",".join, lines)) + "\n"

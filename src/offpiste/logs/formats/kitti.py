@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from offpiste.core.errors import LogError
 from offpiste.core.limits import read_small
-from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Times, Topic
+from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, Times, Topic, as_log_error
 from offpiste.logs.measurements import decoded_picture
 from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel
@@ -26,6 +26,7 @@ _OXTS: Final = (
 """Columns of an OXTS row (dataformat.txt of the dataset)."""
 _POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _CAMERAS: Final = "calib_cam_to_cam.txt"
+_AGAIN: Final = "download the drive again"
 _EARTH_RADIUS: Final = 6378137.0
 """Radius of the devkit's sphere [m]."""
 POINT: Final = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("time", "<f4")])
@@ -74,16 +75,14 @@ class KittiLog(Log):
     def frame_times(self, topic: str, name: str = "timestamps.txt") -> Float[np.ndarray, " n"]:
         """Return the stamps of existing frames [s since 1970, as if local time were UTC]."""
         path = self.path / topic / name
-        try:
-            lines = read_small(path).split("\n")
-            with warnings.catch_warnings(action="error"):  # of time zones, which stamps do not have
-                stamps = [np.datetime64(line.strip().replace(" ", "T"), "ns") for line in lines if line.strip()]
-        except (OSError, ValueError, UserWarning) as error:
-            raise LogError(f"no stamps: {error}", where=path, how="download the drive again") from error
+        # NumPy warns of time zones, which stamps do not have.
+        with as_log_error(path, "no stamps", _AGAIN), warnings.catch_warnings(action="error"):
+            lines = [line.strip().replace(" ", "T") for line in read_small(path).split("\n") if line.strip()]
+            stamps = [np.datetime64(line, "ns") for line in lines]
         times, frames = np.array(stamps, dtype="datetime64[ns]").astype(np.int64) / 10**9, list(self.files(topic))
         if frames and frames[-1] >= len(times):
             what = f"{len(times)} stamps, but a frame {frames[-1]}"
-            raise LogError(what, where=self.path / topic, how="the folder was cut short or mixed; download it again")
+            raise LogError(what, where=self.path / topic, how=f"the folder was cut short or mixed; {_AGAIN}")
         return times[frames]
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
@@ -175,12 +174,10 @@ def _day_of(drive: Path) -> Path:
 
 
 def _row(path: Path) -> Float[np.ndarray, " 30"]:
-    try:
+    with as_log_error(path, "not a row of numbers", _AGAIN):
         row = np.array(read_small(path).split(), dtype=np.float64)
-    except (OSError, ValueError) as error:
-        raise LogError(f"not a row of numbers: {error}", where=path, how="download the drive again") from error
     if len(row) != len(_OXTS):
-        raise LogError(f"{len(row)} numbers, not {len(_OXTS)}", where=path, how="download the drive again")
+        raise LogError(f"{len(row)} numbers, not {len(_OXTS)}", where=path, how=_AGAIN)
     return row
 
 
@@ -197,11 +194,9 @@ def time_in_sweep(xy: Float[np.ndarray, "n 2"], begin: float, end: float) -> Flo
 
 def _calibration(path: Path) -> dict[str, Float[np.ndarray, " n"]]:
     """Return the numbers of a calibration file by key."""
-    try:
+    how = "put the day's calibration files into the folder above the drive, or above the link to it"
+    with as_log_error(path, "no calibration file", how):
         lines = read_small(path).splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        how = "put the day's calibration files into the folder above the drive, or above the link to it"
-        raise LogError("no calibration file", where=path, how=how) from error
     result = {}
     for line in lines:
         key, _, values = line.partition(":")
@@ -226,8 +221,6 @@ def _rigid(calibration: dict[str, Float[np.ndarray, " n"]]) -> Float[np.ndarray,
 
 
 def _scan(path: Path) -> Float[np.ndarray, "n 4"]:
-    try:
+    with as_log_error(path, "not rows of x, y, z and reflectance", _AGAIN):
         values = np.loadtxt(path, dtype=np.float32, ndmin=2) if path.suffix == ".txt" else np.fromfile(path, "<f4")
         return values.reshape(-1, 4)
-    except (OSError, ValueError) as error:
-        raise LogError(f"not rows of x, y, z and reflectance: {error}", where=path, how="download it again") from error

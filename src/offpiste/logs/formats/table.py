@@ -1,6 +1,5 @@
 """Tables with a row per sample and a column per quantity, and folders of tables of one drive."""
 
-import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -17,6 +16,7 @@ from jaxtyping import Float
 from offpiste.core.errors import LogError, NoClock
 from offpiste.core.limits import LARGEST_TABLE, refuse_larger
 from offpiste.logs.formats.csv_text import (
+    PATTERNS,
     are_gears,
     check_columns,
     clock_times,
@@ -24,18 +24,12 @@ from offpiste.logs.formats.csv_text import (
     has_numbers,
     number_of,
     read_csv,
-    unknown_words,
     without_clock_face,
 )
-from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
+from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic, as_log_error
 from offpiste.rig.channels import SECONDS_PER_UNIT, Clock
 from offpiste.rig.labels import parse_label, unit_by_rate, without_comment
 
-_TIME_NAME = re.compile(
-    r"^(t|secs?|seconds?|stamp)(?![a-z])|time|zeit|(?<![a-z])((gps|gnss)?i?tow([mun]?s)?|epoch|unix)(?![a-z])"
-    r"|^([mun]s|ticks)$|(?<![a-z])(ticks_[mun]s|millis|micros|[mu]secs?|(milli|micro|nano)seconds?)(?![a-z])"
-)
-_WHOLE_SECONDS: Final = re.compile(r"^(|.*[^a-z])secs?$", re.IGNORECASE)
 _SPLIT: Final = "export fewer columns, or the drive in parts"
 _NO_TIME = 1e20
 """Limit of stamps in any unit: nanoseconds since 1970 are below 1e19."""
@@ -43,8 +37,6 @@ _EVENLY = 0.2
 """Largest relative spread (5 to 95 %) of the steps of an unnamed clock."""
 
 _TABLES: Final = (".csv", ".tsv", ".parquet")
-_GPS_TIME: Final = re.compile(r"(?<![a-z])((gps|gnss)?i?tow|gps_?(time|tow|seconds?)|seconds?_of_week)", re.IGNORECASE)
-"""Names of stamps in seconds of a GPS week."""
 _AGAIN: Final = 8
 """Largest number of tables in a drive with the columns of another one."""
 _BAGS: Final = (".bag", ".mcap", ".db3")
@@ -61,18 +53,15 @@ class TableLog(Log):
 
     Args:
         path: text, or `.parquet`.
-        clock_column: column of stamps; "" to guess it from the names and how steadily they increase.
-        clock_unit: unit of stamps: s, ms, us, ns or d; "" for the header's, or else a guess from the rate.
+        clock: column of stamps, guessed if "" from the names and how steadily they increase; and their unit, if "" (or
+            by default) the header's, or else guessed from the rate.
     """
 
     description = "a table (.csv, .tsv, .txt, .vbo, .parquet)"
     has_clock_unit = True
 
-    def __init__(self, path: Path, *, clock_column: str = "", clock_unit: str = "") -> None:
-        if clock_unit and clock_unit not in SECONDS_PER_UNIT:
-            how = f"use one: {', '.join(SECONDS_PER_UNIT)}"
-            raise LogError(f"unknown clock unit '{clock_unit}'", where=path, how=how)
-        self.path = path
+    def __init__(self, path: Path, *, clock: Clock | None = None) -> None:
+        self.path, given = path, clock or Clock()
         self._is_csv = path.suffix.lower() != ".parquet"
         notes: list[str] = []
         self._units: dict[str, str] = {}
@@ -84,19 +73,18 @@ class TableLog(Log):
         if not self._is_csv:
             check_columns(path, list(self._columns))
         self._units |= {name: unit for name in names if (unit := parse_label(name).unit)}
-        self._unit = clock_unit
-        clock = clock_column if clock_column in names else without_comment(clock_column)  # as a rig may name it
-        self._clock, listed = clock or self._guess_clock(notes), ", ".join(names[:40])
+        self._unit: str = "" if not given.column and given.unit == Clock().unit else given.unit
+        column = given.column if given.column in names else without_comment(given.column)  # as a rig may name it
+        self._clock, listed = column or self._guess_clock(notes), ", ".join(names[:40])
         if not self._clock:
             how = f"name it: `inspect --time COLUMN`, or clock.column in a rig; there are {listed}"
             raise NoClock("no column looks like time", where=path, how=how)
         if self._clock not in names:
-            raise NoClock(f"no column '{clock_column}' for the clock", where=path, how=f"it has: {listed}")
-        self._unit = self._unit_of_stamps(self._clock) or self._unit_by_rate()
-        if not clock_unit and self.clock.unit != "s":
+            raise NoClock(f"no column '{given.column}' for the clock", where=path, how=f"it has: {listed}")
+        is_guessed, self._unit = not self._unit, self._unit_of_stamps(self._clock) or self._unit_by_rate()
+        if is_guessed and self.clock.unit != "s":
             notes.append(f"'{self._clock}' is read in {self.clock.unit}; clock.unit in the rig can say otherwise")
         self._unread = {name: self._why_unread(name) for name in names if name not in self._columns}
-        notes.extend(f"{why}: it is left out" for name, why in self._unread.items() if unknown_words(self._table[name]))
         self.warnings = tuple(notes)
 
     @staticmethod
@@ -104,12 +92,6 @@ class TableLog(Log):
         """Return whether a file has a table's extension; `.txt` files also need rows of numbers."""
         ending = path.suffix.lower() if path.is_file() else ""
         return ending in (".csv", ".tsv", ".vbo", ".parquet") or (ending == ".txt" and has_numbers(path))
-
-    @classmethod
-    def open(cls, path: Path, clock: Clock) -> Log:
-        """Open a table with the clock's column; its unit is guessed unless the clock names column or unit."""
-        unit = "" if not clock.column and clock.unit == Clock().unit else clock.unit
-        return cls(path, clock_column=clock.column, clock_unit=unit)
 
     @property
     def topics(self) -> dict[str, Topic]:
@@ -137,8 +119,6 @@ class TableLog(Log):
 
     def _why_unread(self, name: str) -> str:
         """Return the reason why a column of text is not a field."""
-        if words := unknown_words(self._table[name]):
-            return f"column '{name}' holds words of gears, among which '{words[0][:40]}' is not known"
         text = next((cell for cell in self._first_cells(name) if number_of(cell) is None), "")
         return f"column '{name}' holds text, such as '{text[:40]}', and no numbers"
 
@@ -147,8 +127,9 @@ class TableLog(Log):
         return cells
 
     def _guess_clock(self, notes: list[str]) -> str:
-        names = [name for name in self._table.column_names if _is_named_time(name)]
-        names = names or [name for name in self._table.column_names if _has_time_unit(self._table[name].type)]
+        columns, named = self._table.column_names, PATTERNS["time_name"].search
+        names = [name for name in columns if named(name) or named(parse_label(name).name)]
+        names = names or [name for name in columns if _has_time_unit(self._table[name].type)]
         if seconds := [name for name in names if self._beside(name)]:
             names = seconds[:1]
         if not names and (even := [name for name in self._columns if self._rises_evenly(name)]):
@@ -163,7 +144,7 @@ class TableLog(Log):
 
     def _beside(self, clock: str) -> str:
         """Return the column of nanoseconds beside one of whole seconds; "" for none."""
-        whole = _WHOLE_SECONDS.match(clock)
+        whole = PATTERNS["whole_seconds"].match(clock)
         names = [] if whole is None else [whole[1] + after for after in ("nsec", "nsecs", "nanosec", "nanosecs")]
         return next((name for name in names if name in self._columns), "")
 
@@ -225,20 +206,14 @@ class TableLog(Log):
         column = pc.utf8_trim_whitespace(self._table[name])
         with suppress(pa.ArrowInvalid):
             return _floats(column)
-        values = np.full(len(column), np.nan)
         number = gear_of if are_gears(self._table[name]) else number_of
-        for row, cell in enumerate(column.to_pylist()):
-            if cell is None:
-                continue
-            if (value := number(cell)) is None:
-                where = f"row {row + 1 + self._rows_of_units} below the header, column '{name}'"
-                raise LogError(f"{where}: '{cell[:40]}' is not a number", where=self.path, how="fix or empty that cell")
-            values[row] = value
-        return values
-
-
-def _is_named_time(name: str) -> bool:
-    return any(map(_TIME_NAME.search, (name.lower(), parse_label(name).name)))
+        values = [np.nan if cell is None else number(cell) for cell in column.to_pylist()]
+        if None in values:
+            row = values.index(None)
+            where = f"row {row + 1 + self._rows_of_units} below the header, column '{name}'"
+            what = f"{where}: '{column[row].as_py()[:40]}' is not a number"
+            raise LogError(what, where=self.path, how="fix or empty that cell")
+        return np.array(values, np.float64)
 
 
 def _floats(column: pa.ChunkedArray) -> Float[np.ndarray, " n"]:
@@ -287,7 +262,7 @@ def _read_bounded(file: pq.ParquetFile, path: Path) -> pa.Table:
 
 
 def _read_parquet(path: Path) -> pa.Table:
-    try:
+    with as_log_error(path, "not a readable Parquet file", "export it again"):
         texts = [field.name for field in pq.read_schema(path) if _is_text(field.type)]
         with pq.ParquetFile(path, read_dictionary=texts) as file:
             table = _read_bounded(file, path)
@@ -296,20 +271,17 @@ def _read_parquet(path: Path) -> pa.Table:
             kept = [number for number, field in enumerate(table.schema) if _is_readable(field.type)]
             table = table.select(kept)
             columns = table.column_names
-    except (pa.ArrowException, OSError) as error:
-        raise LogError(f"not a readable Parquet file: {error}", where=path, how="export it again") from error
     check_columns(path, columns)
     if not table.num_rows:
         raise LogError("the table has no rows", where=path, how="record or export it again")
+    result = {}
     for name, column in zip(columns, table.columns, strict=True):
         if pa.types.is_dictionary(column.type):  # words are repeated when cast to text
             lengths = (pc.max(pc.binary_length(chunk.dictionary)).as_py() for chunk in column.chunks)
             longest = max(filter(None, lengths), default=0)
             refuse_larger(len(column) * longest, f"its column '{name}'", LARGEST_TABLE, where=path, how=_SPLIT)
-    words = {
-        n: column.cast(pa.string()) for n, column in zip(columns, table.columns, strict=True) if _is_text(column.type)
-    }
-    return pa.table({name: words.get(name, table[name]) for name in columns})
+        result[name] = column.cast(pa.string()) if _is_text(column.type) else column
+    return pa.table(result)
 
 
 @LOG_FORMATS.register("tables")
@@ -356,11 +328,6 @@ class TablesLog(Log):
             kinds.add(columns)
         return len(kinds) > again + 1
 
-    @classmethod
-    def open(cls, path: Path, clock: Clock) -> Log:
-        """Open a drive with the clock's column in each table that has it."""
-        return cls(path, clock=clock)
-
     @property
     def topics(self) -> dict[str, Topic]:
         """Topics by name, one per table."""
@@ -384,8 +351,8 @@ def _tables_in(folder: Path) -> list[Path]:
 def _opened(file: Path, clock: Clock) -> Log:
     """Open a table; guess its clock if it lacks the given column."""
     with suppress(NoClock):
-        return TableLog.open(file, clock)
-    return TableLog.open(file, Clock())
+        return TableLog(file, clock=clock)
+    return TableLog(file)
 
 
 def _columns(file: Path) -> str:
@@ -414,7 +381,7 @@ def _refuse_apart(tables: dict[str, Log], path: Path) -> None:
     for name, time in known.items():
         if time.max() < known[longest].min() or time.min() > known[longest].max():
             how = "give one of them, or put the stamps of all on one clock"
-            if any(map(_GPS_TIME.search, (tables[each].clock.column for each in (name, longest)))):
+            if any(map(PATTERNS["gps_time"].search, (tables[each].clock.column for each in (name, longest)))):
                 how += " (GPS time is 604800 s a week since 1980-01-06, 315964800 s since 1970, and 18 s ahead of UTC)"
             spans = (f"'{each}' ({known[each].min():.1f} to {known[each].max():.1f} s)" for each in (name, longest))
             raise LogError(f"tables {' and '.join(spans)} were not recorded at the same time", where=path, how=how)

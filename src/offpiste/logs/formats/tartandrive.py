@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from offpiste.core.errors import LogError
-from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic
+from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic, as_log_error
 from offpiste.rig.channels import SECONDS_PER_UNIT, Clock
+
+_AGAIN = "export the folder again"
 
 
 @LOG_FORMATS.register("tartandrive")
@@ -24,7 +25,7 @@ class TartanDriveLog(Log):
 
     def __init__(self, path: Path, *, clock: Clock | None = None) -> None:
         self.path = path
-        self._clock = clock or Clock()
+        self._clock = Clock(unit=(clock or Clock()).unit or "s")
         self._topics = {
             stamps.parent.name: _described(stamps.parent) for stamps in sorted(path.glob("*/timestamps.txt"))
         }
@@ -35,15 +36,10 @@ class TartanDriveLog(Log):
         # Folders of KITTI have stamps as well, and keep their files in `data`.
         return any(not (stamps.parent / "data").is_dir() for stamps in path.glob("*/timestamps.txt"))
 
-    @classmethod
-    def open(cls, path: Path, clock: Clock) -> Log:
-        """Open a drive whose stamps are in the clock's unit."""
-        return cls(path, clock=clock if clock.unit else None)
-
     @property
     def clock(self) -> Clock:
         """Unit of the stamps."""
-        return Clock(unit=self._clock.unit)
+        return self._clock
 
     @property
     def topics(self) -> dict[str, Topic]:
@@ -53,7 +49,10 @@ class TartanDriveLog(Log):
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
         folder = self.path / topic.name
         values = _load(folder / topic.type, mapped=False).reshape(topic.count, -1)
-        time = _load_stamps(folder / "timestamps.txt") * SECONDS_PER_UNIT[self._clock.unit]
+        path = folder / "timestamps.txt"
+        # An empty file, of which NumPy warns, has no stamps.
+        with as_log_error(path, "stamps are not numbers", _AGAIN), warnings.catch_warnings(action="ignore"):
+            time = np.loadtxt(path, np.float64, ndmin=1) * SECONDS_PER_UNIT[self._clock.unit]
         if len(time) != len(values):
             how = "the folder was cut short or mixed; export it again"
             raise LogError(f"{len(time)} stamps for {len(values)} samples", where=folder, how=how)
@@ -70,18 +69,8 @@ def _described(folder: Path) -> Topic:
 
 
 def _load(path: Path, *, mapped: bool) -> np.ndarray:
-    try:
+    with as_log_error(path, "not a readable array", _AGAIN):
         array: np.ndarray = np.load(path, mmap_mode="r" if mapped else None, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise LogError(f"not a readable array: {error}", where=path, how="export the folder again") from error
     if array.ndim == 0 or array.dtype.kind not in "fiub":
         raise LogError(f"holds {array.dtype}, shape {array.shape}, not rows of numbers", where=path)
     return array
-
-
-def _load_stamps(path: Path) -> Float[np.ndarray, " n"]:
-    try:
-        with warnings.catch_warnings(action="ignore"):  # of an empty file, which has no stamps
-            return np.loadtxt(path, dtype=np.float64, ndmin=1)
-    except (OSError, ValueError) as error:
-        raise LogError(f"stamps are not numbers: {error}", where=path, how="export the folder again") from error

@@ -3,8 +3,8 @@
 import functools
 import math
 import struct
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,9 +14,10 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag1, MessageDefiniti
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from offpiste.core.errors import LogError, TooLarge
+from offpiste.core.errors import LogError
 from offpiste.core.limits import LARGEST, refuse_larger
-from offpiste.logs.ros.bounds import MOST_OBJECTS, Rosbag1, has_entries, refuse_expansion, refuse_text
+from offpiste.logs.log import as_log_error
+from offpiste.logs.ros.bounds import MOST_OBJECTS, Rosbag1, fields_in, has_entries, refuse_expansion, refuse_text
 from offpiste.logs.ros.mcap_recovery import StreamedMcap
 
 _OCTETS = {"byte", "char", "uint8"}
@@ -69,34 +70,20 @@ def field_getter(field: str) -> Callable[[object], float]:
     return lambda message: values[entry] if entry < len(values := get(message)) else math.nan
 
 
-def row_reader(fields: Sequence[str]) -> Callable[[object], list[float]]:
-    """Return a function that reads fields from a decoded message."""
-    getters = [field_getter(field) for field in fields]
-    return lambda message: [get(message) for get in getters]
-
-
 def fields_of(store: Typestore, msgtype: str, first: Callable[[], Iterable[object]], prefix: str = "") -> Iterator[str]:
     """Yield the paths of the numbers in a message type; `first` returns the topic's first messages, if any."""
-    entries: Sequence[tuple[str, Any]] = store.get_msgdef(msgtype).fields
-    for name, (kind, detail) in entries:
+    for name, kind, inner, element, size in fields_in(store.fielddefs, msgtype):
         path = prefix + name
-        if kind == Nodetype.NAME:
-            if detail not in _NO_NUMBERS:
-                yield from fields_of(store, detail, first, f"{path}.")
-        elif kind == Nodetype.BASE:
-            if detail[0] in _NUMBERS and name != "structure_needs_at_least_one_member":
-                yield path
-        else:
-            (inner, element), size = detail
-            if inner != Nodetype.BASE or element[0] not in _NUMBERS:
-                continue
-            if kind == Nodetype.ARRAY:
-                size = size if size <= MAX_ENTRIES else 0
-            elif element[0] in _OCTETS:
-                size = 0
-            else:  # the length of the first one that is not empty
-                size = next((min(n, MAX_ENTRIES) for one in first() if (n := len(attrgetter(path)(one)))), 0)
-            yield from (f"{path}[{i}]" for i in range(size))
+        if kind == Nodetype.NAME and element not in _NO_NUMBERS:
+            yield from fields_of(store, element, first, f"{path}.")
+        if inner == Nodetype.NAME or element[0] not in _NUMBERS or name == "structure_needs_at_least_one_member":
+            continue
+        if kind == Nodetype.BASE:
+            yield path
+            continue
+        if kind == Nodetype.SEQUENCE and element[0] not in _OCTETS:  # the length of the first one that is not empty
+            size = next((min(n, MAX_ENTRIES) for one in first() if (n := len(attrgetter(path)(one)))), 0)
+        yield from (f"{path}[{i}]" for i in range(size if size <= MAX_ENTRIES else 0))
 
 
 def _encoding(connection: Connection) -> str:
@@ -282,15 +269,6 @@ def _repair(path: Path) -> str:
     return default if path.is_dir() else _REPAIRS.get(path.suffix, default)
 
 
-@contextmanager
-def reported(path: Path, what: str) -> Iterator[None]:
-    """Turn errors of struct, lz4, zstd, bz2 and SQLite, which rosbags lets through, into one line."""
-    try:
-        yield
-    except TooLarge as error:
-        raise TooLarge(error.what, where=error.where or path, how=error.how) from error
-    except LogError:
-        raise
-    except Exception as error:
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise LogError(f"{what}: {reason}", where=path, how=_repair(path)) from error
+def reported(path: Path, what: str) -> AbstractContextManager[None]:
+    """Return the context that turns errors of rosbags on a damaged bag into one line (`as_log_error`)."""
+    return as_log_error(path, what, _repair(path))

@@ -9,7 +9,7 @@ import re
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -163,63 +163,55 @@ def refuse_text(text: str, *, idl: bool) -> None:
         raise TypesysError("computed constants are not supported")
 
 
+def fields_in(types: Mapping[str, Any], name: str) -> Iterator[tuple[str, Nodetype, Nodetype, Any, int]]:
+    """Yield the name, kind, kind of entries, type of entries and number of entries of a type's fields.
+
+    Single values are their own entry; sequences have 0, and undefined types have no fields.
+    """
+    for field, (kind, detail) in types[name][1] if name in types else ():
+        (inner, element), size = ((kind, detail), 1) if kind in (Nodetype.BASE, Nodetype.NAME) else detail
+        yield field, kind, inner, element, size
+
+
 def refuse_expansion(types: Mapping[str, Any], name: str, *, ros1: bool) -> None:
     """Refuse definitions that expand to very many fields, or to a sequence of empty messages, in rosbags' `types`."""
     counts: dict[str, int] = {}
 
     def count(one: str) -> int:
         if one not in counts:
-            counts[one] = max(1, sum(_entries(described, count) for described in _fields(types, one)))
+            total = 0
+            for _, kind, inner, element, size in fields_in(types, one):
+                unrolled = kind == Nodetype.ARRAY and (inner == Nodetype.NAME or element[0] == "string")
+                total += (count(element) if inner == Nodetype.NAME else 1) * (size if unrolled else 1)
+            counts[one] = max(1, total)
             if counts[one] > _MOST_FIELDS:
                 raise TypesysError(f"more than {_MOST_FIELDS} fields")
         return counts[one]
 
     count(name)
     for one in counts if ros1 else ():
-        for kind, detail in _fields(types, one):
-            if kind == Nodetype.SEQUENCE and detail[0][0] == Nodetype.NAME and _is_nothing(types, detail[0][1]):
-                raise TypesysError(f"a sequence of {detail[0][1]}, which has no fields")
+        for _, kind, inner, element, _ in fields_in(types, one):
+            if kind == Nodetype.SEQUENCE and inner == Nodetype.NAME and _is_nothing(types, element):
+                raise TypesysError(f"a sequence of {element}, which has no fields")
 
 
 def has_entries(types: Mapping[str, Any], name: str) -> bool:
     """Return whether a type accepted by `refuse_expansion` has sequences that are decoded entry by entry."""
-    for kind, detail in _fields(types, name):
-        inner, element = (kind, detail) if kind in (Nodetype.BASE, Nodetype.NAME) else detail[0]
-        if kind == Nodetype.SEQUENCE and (inner == Nodetype.NAME or element[0] == "string"):
-            return True
-        if inner == Nodetype.NAME and has_entries(types, element):
-            return True
-    return False
-
-
-def _fields(types: Mapping[str, Any], name: str) -> list[Any]:
-    """Return the descriptions of a type's fields; none for an undefined type."""
-    return [described for _, described in types[name][1]] if name in types else []
-
-
-def _entries(described: Any, count: Callable[[str], int]) -> int:
-    """Return the number of fields that a field expands to; entries of sequences count once."""
-    kind, detail = described
-    if kind in (Nodetype.BASE, Nodetype.NAME):
-        return count(detail) if kind == Nodetype.NAME else 1
-    (inner, element), size = detail
-    each = count(element) if inner == Nodetype.NAME else 1
-    unrolled = kind == Nodetype.ARRAY and (inner == Nodetype.NAME or element[0] == "string")
-    return int(each * size) if unrolled else each
+    return any(
+        (kind == Nodetype.SEQUENCE and (inner == Nodetype.NAME or element[0] == "string"))
+        or (inner == Nodetype.NAME and has_entries(types, element))
+        for _, kind, inner, element, _ in fields_in(types, name)
+    )
 
 
 def _is_nothing(types: Mapping[str, Any], name: str) -> bool:
     """Return whether messages of a type take no bytes in ROS 1."""
-    return all(kind == Nodetype.NAME and _is_nothing(types, detail) for kind, detail in _fields(types, name))
-
-
-def _of_mcap(compression: str, data: bytes, _: int) -> bytes:
-    return inflated(data, compression)
+    return all(kind == Nodetype.NAME and _is_nothing(types, part) for _, kind, _, part, _ in fields_in(types, name))
 
 
 def _bound_rosbags() -> None:
     for name in ("", "lz4", "zstd"):
-        storage_mcap.DECOMPRESSORS[name] = partial(_of_mcap, name)
+        storage_mcap.DECOMPRESSORS[name] = lambda data, _, kind=name: inflated(data, kind)  # type: ignore[misc]
     for name, kind in (("none", ""), ("bz2", "bz2"), ("lz4", "lz4")):
         rosbag1_reader.decompressors[name] = partial(inflated, compression=kind)
     rosbag2_reader.zstd = SimpleNamespace(decompress=lambda data: inflated(data, "zstd"), open=_opened)  # type: ignore

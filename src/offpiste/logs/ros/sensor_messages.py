@@ -1,15 +1,14 @@
 """Conversion of ROS image, point cloud and joint messages to and from NumPy arrays."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from offpiste.core.errors import LogError
-from offpiste.logs.log import JOINT_ARRAYS, RawCloud, RawImage
+from offpiste.logs.log import JOINT_ARRAYS
 from offpiste.logs.ros.bag_files import MAX_ENTRIES
-from offpiste.logs.ros.image_encodings import pixels_of
 from offpiste.logs.ros.writer import header, make, message_types
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -69,18 +68,6 @@ def message_from_points(points: np.ndarray, stamp_ns: int, frame: str) -> Any:
         data=np.frombuffer(points.tobytes(), dtype=np.uint8),
         is_dense=True,
     )
-
-
-def images_of(messages: Iterator[tuple[float, Any]], topic: str) -> Iterator[RawImage]:
-    """Yield the images of sensor_msgs/CompressedImage and Image."""
-    for time, message in messages:
-        yield RawImage(time, frame_of(message), pixels_of(message, topic))
-
-
-def clouds_of(messages: Iterator[tuple[float, Any]]) -> Iterator[RawCloud]:
-    """Yield the point clouds of sensor_msgs/PointCloud2."""
-    for time, message in messages:
-        yield RawCloud(time, frame_of(message), points_from_message(message))
 
 
 def frame_of(message: Any) -> str:

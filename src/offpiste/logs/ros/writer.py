@@ -3,6 +3,7 @@
 import functools
 import tomllib
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from importlib import resources
 from pathlib import Path
 from types import TracebackType
@@ -31,12 +32,7 @@ message_types = functools.cache(new_typestore)
 
 def make(msgtype: str, **fields: Any) -> Any:
     """Return a message of a type without `msg`, such as `nav_msgs/Odometry`."""
-    return _class(msgtype)(**fields)
-
-
-@functools.cache
-def _class(msgtype: str) -> Any:
-    return message_types().types[msgtype.replace("/", "/msg/")]
+    return message_types().types[msgtype.replace("/", "/msg/")](**fields)
 
 
 def header(stamp_ns: int, frame: str) -> Any:
@@ -75,7 +71,7 @@ class _Entry(NamedTuple):
     data: bytes
 
 
-class McapWriter:
+class McapWriter(AbstractContextManager["McapWriter"]):
     """Writer of messages to a new `.mcap` file; equal messages give equal bytes.
 
     The end of its `with` block, also by an exception or Ctrl-C, completes the file. A killed process leaves whole
@@ -103,9 +99,6 @@ class McapWriter:
         self._size = 0
         self._worker = ThreadPoolExecutor(max_workers=1)
         self._at_work: Future[None] | None = None
-
-    def __enter__(self) -> "McapWriter":
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
