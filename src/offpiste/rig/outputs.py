@@ -19,13 +19,10 @@ _LIMITED: Final = {
     "throttle": {"throttle", "pedal"},
     "brake": {"brake", "pedal"},
     "steer": {"steer"},
-    "throttle_rate": {"throttle", "pedal"},
-    "brake_rate": {"brake", "pedal"},
-    "steer_rate": {"steer"},
     "speed": {"speed", "throttle", "pedal"},
     "yaw_rate": {"yaw_rate"},
 }
-"""Quantities affected by each of `CommandLimits`."""
+"""Quantities affected by each of `CommandLimits`, or by the limit of its rate."""
 
 
 class OutputField(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -134,16 +131,14 @@ def check_outputs(outputs: Mapping[str, Output], live: Live, max_steer: float) -
         for path, field in output.fields.items():
             _check_field(f'outputs.{name}.fields."{path}"', field, max_steer)
     one_topic = len({output.topic for output in outputs.values()}) < len(outputs)
+    never = live.timeouts.scan > live.timeouts.scan_limit
     refuse(
         (one_topic, "two outputs have one topic", "put their fields into one of them"),
-        (
-            live.timeouts.scan > live.timeouts.scan_limit,
-            "live.timeouts.scan is above scan_limit",
-            "raise scan_limit, too, or lower scan",
-        ),
+        (never, "live.timeouts.scan is above scan_limit", "raise scan_limit, too, or lower scan"),
     )
     held = {field.of for output in outputs.values() for field in output.fields.values()}
-    for limit, limited in _LIMITED.items():
+    for limit in CommandLimits.__struct_fields__:
+        limited = _LIMITED.get(limit) or _LIMITED[limit.removesuffix("_rate")]
         changed = getattr(live.limits, limit) != getattr(CommandLimits(), limit)
         how = f"leave it out, or send one of {', '.join(sorted(limited))}"
         refuse((held and changed and not held & limited, f"live.limits.{limit} has no effect on any output", how))

@@ -93,17 +93,14 @@ class Joints:
             for entry, at in _places(message).items():
                 place = places.setdefault(entry, len(places))
                 found |= {(array, place) for array in JOINT_ARRAYS if at < len(getattr(message, array))}
-        self._entries = list(places)[:MAX_ENTRIES]
-        self.fields = tuple(f"{a}[{i}]" for a in JOINT_ARRAYS for i in range(len(self._entries)) if (a, i) in found)
-        named = {field: (self._entry(field)[0], JOINT_ARRAYS[field.partition("[")[0]]) for field in self.fields}
-        self.names = {field: name + kind for field, (name, kind) in named.items() if name}
-
-    def _entry(self, field: str) -> tuple[str, int]:
-        return self._entries[int(field.partition("[")[2].removesuffix("]"))]
+        entries = list(enumerate(list(places)[:MAX_ENTRIES]))
+        self._wanted = {f"{a}[{i}]": (a, entry) for a in JOINT_ARRAYS for i, entry in entries if (a, i) in found}
+        self.fields = tuple(self._wanted)
+        self.names = {field: name + JOINT_ARRAYS[a] for field, (a, (name, _)) in self._wanted.items() if name}
 
     def reader(self, fields: Sequence[str]) -> Callable[[Any], list[float]]:
         """Return a function that reads entries of a message; NaN for missing joints."""
-        return _entries_reader([(field.partition("[")[0], self._entry(field)) for field in fields])
+        return _entries_reader([self._wanted[field] for field in fields])
 
 
 def joint_getter(field: str, joint: str) -> Callable[[Any], float]:
