@@ -25,16 +25,12 @@ _LAG_STEP: Final = 0.05
 """Step between candidate lags [s]."""
 _BLOCKS: Final = 12
 """Number of time blocks; only the smallest delay of each is used, since messages can only be late."""
-_DRIFTS: Final = 0.02
-"""Smallest reported drift [s]: 0.2 m at 10 m/s."""
 DRIFT_LIMIT: Final = 0.2
 """Drift above which images and scans are refused [s]."""
 _STEP: Final = 0.1
 """Smallest backward step of all clocks [s]."""
 _BESIDE: Final = 5
 """Number of samples on either side of a step that must increase."""
-_OFFSET: Final = 0.5
-"""Smallest reported offset [s]; no sensor has such a latency."""
 
 ALIGNED: Final = "clock of"
 """Beginning of the note on an aligned clock."""
@@ -163,17 +159,6 @@ def clock_difference(
         return None
     slope, offset = np.polyfit(middle[known], apart[known], 1)
     return ClockDifference(float(offset), float(slope * (end - start)))
-
-
-def clock_note(name: str, difference: ClockDifference) -> list[str]:
-    """Describe a difference between a sensor's clock and the poses'; nothing if they agree."""
-    offset, drift = difference
-    if abs(drift) > _DRIFTS:
-        return [f"{name}: its stamps drift against the poses' by {1000 * abs(drift):.0f} ms over the drive"]
-    if abs(offset) > _OFFSET:
-        before = "before" if offset > 0 else "after"
-        return [f"{name}: stamped {abs(offset):.2f} s {before} poses that arrive with it; fix its clock or its delay"]
-    return []
 
 
 def least_delays(

@@ -23,20 +23,13 @@ _EMPTY: Final = 20.0
 
 @dataclass(frozen=True)
 class Drive:
-    """Channels of one vehicle in one recording.
+    """Channels of one vehicle in one recording."""
 
-    Attributes:
-        name: name of the log, without folder and extension.
-        channels: by name, without those that the rig declares absent.
-        notes: samples dropped or repaired on reading, in words.
-        faults: faults of the pose; `channels` lack the samples dropped for them.
-    """
-
-    name: str
+    name: str  # name of the log, without folder and extension
     rig: Rig
-    channels: dict[str, Channel]
-    notes: tuple[str, ...] = ()
-    faults: PoseFaults = field(default_factory=PoseFaults)
+    channels: dict[str, Channel]  # by name, without those that the rig declares absent
+    notes: tuple[str, ...] = ()  # samples dropped or repaired on reading, in words
+    faults: PoseFaults = field(default_factory=PoseFaults)  # of the pose; `channels` lack the samples dropped for them
 
 
 def read_drive(path: str | Path, rig: Rig) -> Drive:

@@ -44,27 +44,18 @@ _EXPORTED_BY = {
 
 @dataclass(frozen=True)
 class Topic:
-    """Description of a named stream of samples.
-
-    Attributes:
-        type: message type, or kind of file.
-        count: number of samples.
-        fields: names of the numeric fields; empty if the first messages are needed to tell them and there are none.
-        units: units of fields that the log states apart from the names (`offpiste.rig.labels`).
-        joints: names of the entries of sensor_msgs/JointState, by field.
-        unread: reasons why other columns are not fields, by column.
-        part_of: for one of several streams on a topic, the name of that topic; its messages are counted at the
-            beginning of the log only.
-    """
+    """Description of a named stream of samples."""
 
     name: str
-    type: str
-    count: int
-    fields: tuple[str, ...]
-    units: Mapping[str, str] = field(default_factory=dict)
-    joints: Mapping[str, str] = field(default_factory=dict)
-    unread: Mapping[str, str] = field(default_factory=dict)
-    part_of: str = ""
+    type: str  # message type, or kind of file
+    count: int  # number of samples; of a part (`part_of`), those at the beginning of the log only
+    fields: tuple[
+        str, ...
+    ]  # names of the numbers; empty if the first messages are needed to tell them and none is there
+    units: Mapping[str, str] = field(default_factory=dict)  # of fields, if the log states them apart from the names
+    joints: Mapping[str, str] = field(default_factory=dict)  # names of the entries of sensor_msgs/JointState, by field
+    unread: Mapping[str, str] = field(default_factory=dict)  # reasons why other columns are not fields, by column
+    part_of: str = ""  # for one of several streams on a topic, the name of that topic
 
     def in_words(self, name: str) -> str:
         """Return a field with the name of its joint: `position[1] (steering)`."""
@@ -99,17 +90,11 @@ class Samples:
 
 @dataclass(frozen=True)
 class RawImage:
-    """Recorded image.
+    """Recorded image."""
 
-    Attributes:
-        time: stamp [s].
-        frame: optical frame of the camera.
-        pixels: RGB at the recorded bit depth; None if damaged.
-    """
-
-    time: float
-    frame: str
-    pixels: UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"] | None
+    time: float  # stamp [s]
+    frame: str  # optical frame of the camera
+    pixels: UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"] | None  # RGB of any bit depth; None if damaged
 
 
 @dataclass(frozen=True)
@@ -137,23 +122,17 @@ class Log(ABC):
 
     A format overrides `recognises`, `topics` and `_read`. A format with cameras or LiDARs sets `has_sensors` and
     overrides the methods that read them. Messages are read one at a time, so that memory does not grow with the log.
-
-    Attributes:
-        description: name of the format in messages, e.g. "a KITTI raw drive".
-        has_sensors: the format can hold images or point clouds.
-        has_messages: `messages` yields decoded ROS messages.
-        has_clock_unit: the rig's clock states the unit of the stamps.
-        has_arrivals: samples have an arrival time beside their own stamp; the argument `stamps` chooses one of the two.
-        warnings: parts of a damaged or ambiguous log that the reader left out or guessed.
     """
 
-    description: ClassVar[str] = ""
-    has_sensors: ClassVar[bool] = False
-    has_messages: ClassVar[bool] = False
-    has_arrivals: ClassVar[bool] = False
-    has_clock_unit: ClassVar[bool] = False
+    description: ClassVar[str] = ""  # name of the format in messages, e.g. "a KITTI raw drive"
+    has_sensors: ClassVar[bool] = False  # the format can hold images or point clouds
+    has_messages: ClassVar[bool] = False  # `messages` yields decoded ROS messages
+    has_arrivals: ClassVar[bool] = (
+        False  # samples have arrival times, too; the argument `stamps` chooses one of the two
+    )
+    has_clock_unit: ClassVar[bool] = False  # the rig's clock states the unit of the stamps
     path: Path
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # parts of a damaged or ambiguous log that the reader left out or guessed
 
     @staticmethod
     def recognises(path: Path) -> bool:

@@ -13,20 +13,13 @@ from offpiste.logs.drive import Drive
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses `world_from_body`, interpolated linearly in position and by slerp in orientation.
+    """Poses `world_from_body`, interpolated linearly in position and by slerp in orientation."""
 
-    Attributes:
-        position: [m].
-        orientation: quaternions xyzw.
-        max_gap: largest gap between samples to interpolate across [s].
-        jumps: stamps before and after each jump [s]; poses between them are unknown, and maps from before do not fit
-            after.
-        unknown: stamps before and after each run of implausible samples [s]; poses between them are unknown.
-    """
-
-    position: Channel
-    orientation: Channel
-    max_gap: float
+    position: Channel  # [m]
+    orientation: Channel  # quaternions xyzw
+    max_gap: float  # largest gap between samples to interpolate across [s]
+    # Stamps before and after each jump, and each run of implausible samples [s]. Poses between them are unknown, and
+    # maps from before a jump do not fit after it.
     jumps: Float[np.ndarray, "j 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     unknown: Float[np.ndarray, "u 2"] = field(default_factory=lambda: np.zeros((0, 2)))
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from offpiste.core.errors import LogError
 from offpiste.logs.channel import increasing
-from offpiste.logs.clock_drift import DRIFT_LIMIT, clock_difference, clock_note
+from offpiste.logs.clock_drift import DRIFT_LIMIT, clock_difference
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log, RawCloud, RawImage
 from offpiste.logs.measurements import (
@@ -35,6 +35,10 @@ _USELESS: Final = 10
 """Number of consecutive unusable messages after which a sensor is refused."""
 _LATE: Final = 1.0
 """Largest unreported gap of a sensor, also at either end of the drive [s]."""
+_DRIFTS: Final = 0.02
+"""Smallest reported drift of a clock [s]: 0.2 m at 10 m/s."""
+_OFFSET: Final = 0.5
+"""Smallest reported offset of a clock [s]; no sensor has such a latency."""
 _HELD: Final = 20
 """Number of messages held to sort them, which transports that shuffle messages do not exceed."""
 _T = TypeVar("_T")
@@ -137,13 +141,15 @@ class SensorLog:
             return []
         arrivals, pose_arrivals = (self._log.stamps(t, stamps="receive") for t in (topic, position.topic))
         pose_stamps = self._log.stamps(position.topic) - position.delay
-        result = clock_difference(stamps, arrivals, pose_stamps, pose_arrivals)
-        if result is None:
-            return []
-        if abs(result.drift) > DRIFT_LIMIT:
-            what = f"'{name}': its stamps drift against the poses' by {abs(result.drift):.2f} s over the drive"
+        offset, drift = clock_difference(stamps, arrivals, pose_stamps, pose_arrivals) or (0.0, 0.0)
+        if abs(drift) > DRIFT_LIMIT:
+            what = f"'{name}': its stamps drift against the poses' by {abs(drift):.2f} s over the drive"
             raise LogError(what, where=self.path, how='use clock.stamps = "receive", or remove the sensor from the rig')
-        return clock_note(name, result)
+        if abs(drift) > _DRIFTS:
+            return [f"{name}: its stamps drift against the poses' by {1000 * abs(drift):.0f} ms over the drive"]
+        side = "before" if offset > 0 else "after"
+        what = f"{name}: stamped {abs(offset):.2f} s {side} poses that arrive with it; fix its clock or its delay"
+        return [what] if abs(offset) > _OFFSET else []
 
     def _sensor(self, name: str) -> Camera | Lidar:
         return self.cameras[name] if name in self.cameras else self.lidars[name]

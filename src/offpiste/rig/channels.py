@@ -251,14 +251,8 @@ class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Alignment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Alignment of topics whose common clock drifts against the poses', by the speed of the wheels.
+    """Alignment of topics whose common clock drifts against the poses', by the speed of the wheels."""
 
-    Attributes:
-        topics: all topics stamped by that clock.
-        speed: speed of the vehicle by its wheels, on one of these topics; several fields are averaged [m/s].
-        max_lag: lags from -max_lag / 2 to max_lag are tried [s].
-    """
-
-    topics: tuple[str, ...]
-    speed: ChannelSource
-    max_lag: Positive = 2.0
+    topics: tuple[str, ...]  # all topics stamped by that clock
+    speed: ChannelSource  # speed by the wheels, on one of these topics; several fields are averaged [m/s]
+    max_lag: Positive = 2.0  # lags from -max_lag / 2 to max_lag are tried [s]

@@ -65,59 +65,37 @@ class Enable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CommandLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Limits of sent commands, regardless of the plan.
+    """Limits of sent commands, regardless of the plan; releasing the throttle and braking to a stop are not limited."""
 
-    Attributes:
-        throttle, brake, steer: largest commands; the brake of a stop is not limited.
-        throttle_rate, brake_rate, steer_rate: largest rates of change [1/s]; the throttle is released, and the brake of
-            a stop applied, without delay.
-        speed: largest speed in either direction [m/s]; above it, the throttle is released.
-        yaw_rate: largest yaw rate [rad/s].
-    """
-
-    throttle: Fraction = 1.0
+    throttle: Fraction = 1.0  # throttle, brake, steer: largest commands
     brake: Fraction = 1.0
     steer: Fraction = 1.0
-    throttle_rate: Positive = 4.0
+    throttle_rate: Positive = 4.0  # throttle_rate, brake_rate, steer_rate: largest rates of change [1/s]
     brake_rate: Positive = 8.0
     steer_rate: Positive = 4.0
-    speed: Annotated[float, Meta(gt=0.0)] = np.inf
-    yaw_rate: Annotated[float, Meta(gt=0.0)] = np.inf
+    speed: Annotated[float, Meta(gt=0.0)] = np.inf  # in either direction [m/s]; above it, the throttle is released
+    yaw_rate: Annotated[float, Meta(gt=0.0)] = np.inf  # [rad/s]
 
 
 class Timeouts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Largest ages of inputs [s].
+    """Largest ages of inputs [s]; messages stamped further `ahead` of the clock are dropped."""
 
-    Attributes:
-        state: age of the vehicle's state beyond which it makes a controlled stop.
-        scan, scan_limit: ages of scans beyond which it slows down, and makes a controlled stop.
-        image: age of images beyond which it continues in degraded mode, on the features in the map.
-        plan: age of the followed plan beyond which it makes a controlled stop.
-        ahead: messages stamped further ahead of the clock are dropped.
-    """
-
-    state: Annotated[float, Meta(ge=0.04, le=1.0)] = 0.1
-    scan: Annotated[float, Meta(ge=0.1, le=5.0)] = 0.5
-    scan_limit: Annotated[float, Meta(ge=0.1, le=5.0)] = 1.0
-    image: Annotated[float, Meta(ge=0.1, le=30.0)] = 1.5
-    plan: Annotated[float, Meta(ge=0.2, le=1.0)] = 0.5
+    state: Annotated[float, Meta(ge=0.04, le=1.0)] = 0.1  # age of the vehicle's state beyond which it stops
+    scan: Annotated[float, Meta(ge=0.1, le=5.0)] = 0.5  # age of scans beyond which it slows down
+    scan_limit: Annotated[float, Meta(ge=0.1, le=5.0)] = 1.0  # age of scans beyond which it stops
+    image: Annotated[float, Meta(ge=0.1, le=30.0)] = 1.5  # age of images beyond which only features in the map count
+    plan: Annotated[float, Meta(ge=0.2, le=1.0)] = 0.5  # age of the followed plan beyond which it stops
     ahead: Annotated[float, Meta(ge=0.01, le=1.0)] = 0.1
 
 
 class Live(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Settings for driving on a vehicle.
+    """Settings for driving on a vehicle."""
 
-    Attributes:
-        enable: switch; without it, commands are always sent.
-        types: message types of topics whose Zenoh keys do not state them (zenoh-bridge-ros2dds).
-        definitions: files PACKAGE/msg/NAME.msg of types unknown to rosbags, relative to the rig file.
-    """
-
-    enable: Enable | None = None
+    enable: Enable | None = None  # switch; without it, commands are always sent
     limits: CommandLimits = CommandLimits()
     timeouts: Timeouts = Timeouts()
-    types: dict[TopicName, MessageType] = {}
-    definitions: tuple[str, ...] = ()
+    types: dict[TopicName, MessageType] = {}  # of topics whose Zenoh keys do not state them (zenoh-bridge-ros2dds)
+    definitions: tuple[str, ...] = ()  # files PACKAGE/msg/NAME.msg of types unknown to rosbags, beside the rig file
 
 
 def can_reverse(outputs: Mapping[str, Output]) -> bool:

@@ -26,22 +26,16 @@ GUESSED: Final = "GUESSED"
 
 _Metres = Annotated[float, Meta(gt=-100.0, lt=100.0)]
 Wheel = tuple[_Metres, _Metres]
-"""Position of a wheel: x, y [m]."""
+"""Position of a wheel: x forward, y left of the pose point [m]."""
 
 
 class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Mass and geometry of a vehicle.
-
-    Attributes:
-        wheel_positions: x forward, y left of the pose point [m]: front-left, front-right, rear-left, rear-right.
-        pose_point: description of the point whose pose is logged.
-        max_steer: road-wheel angle at a steering command of 1 [rad]; 0 for a vehicle that does not steer.
-    """
+    """Mass and geometry of a vehicle."""
 
     mass: Positive
-    wheel_positions: tuple[Wheel, Wheel, Wheel, Wheel]
-    pose_point: str
-    max_steer: float = 0.0
+    wheel_positions: tuple[Wheel, Wheel, Wheel, Wheel]  # front-left, front-right, rear-left, rear-right
+    pose_point: str  # description of the point whose pose is logged
+    max_steer: float = 0.0  # road-wheel angle at a steering command of 1 [rad]; 0 for a vehicle that does not steer
     source: str = ""
 
     @property

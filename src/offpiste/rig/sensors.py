@@ -24,15 +24,10 @@ _DIRECTIONS: Final = {"forward": (1, 0), "left": (0, 1), "back": (-1, 0), "right
 
 
 class Frames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Body frame, and topics with the transforms of a log.
+    """Body frame, and topics with the transforms of a log."""
 
-    Attributes:
-        body: the frame whose pose `position` and `orientation` give: x forward, y left, z up.
-        topics: topics of tf2_msgs/TFMessage; the first transform of each pair of frames is used.
-    """
-
-    body: str = "base_link"
-    topics: tuple[str, ...] = ("/tf_static",)
+    body: str = "base_link"  # frame whose pose `position` and `orientation` give: x forward, y left, z up
+    topics: tuple[str, ...] = ("/tf_static",)  # of tf2_msgs/TFMessage; the first transform of each pair is used
 
 
 class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -65,22 +60,14 @@ class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Intrinsics(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Calibration of a camera whose log has no CameraInfo.
+    """Calibration of a camera whose log has no CameraInfo."""
 
-    Attributes:
-        width, height: size of the image [px].
-        focal_length: fx, fy [px].
-        centre: cx, cy [px]; the centre of the first pixel is (0, 0).
-        distortion: coefficients in the order of CameraInfo's `d`.
-        model: distortion model of CameraInfo; "equidistant" is OpenCV's fisheye.
-    """
-
-    width: Annotated[int, Meta(ge=1)]
+    width: Annotated[int, Meta(ge=1)]  # width, height: size of the image [px]
     height: Annotated[int, Meta(ge=1)]
-    focal_length: tuple[Positive, Positive]
-    centre: tuple[float, float]
-    distortion: tuple[float, ...] = ()
-    model: Literal["plumb_bob", "rational_polynomial", "equidistant"] = "plumb_bob"
+    focal_length: tuple[Positive, Positive]  # fx, fy [px]
+    centre: tuple[float, float]  # cx, cy [px]; the centre of the first pixel is (0, 0)
+    distortion: tuple[float, ...] = ()  # coefficients in the order of CameraInfo's `d`
+    model: Literal["plumb_bob", "rational_polynomial", "equidistant"] = "plumb_bob"  # the last is OpenCV's fisheye
 
 
 class CameraSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -41,16 +41,14 @@ def header(stamp_ns: int, frame: str) -> Any:
     return make("std_msgs/Header", stamp=make("builtin_interfaces/Time", sec=seconds, nanosec=rest), frame_id=frame)
 
 
-def vector(xyz: Any, kind: str = "geometry_msgs/Vector3") -> Any:
-    """Return a geometry_msgs/Vector3 or Point."""
-    x, y, z = np.asarray(xyz, dtype=np.float64).tolist()
-    return make(kind, x=x, y=y, z=z)
+def vector(values: Any, kind: str = "geometry_msgs/Vector3") -> Any:
+    """Return a geometry_msgs/Vector3, Point or Quaternion."""
+    return make(kind, **dict(zip("xyzw", np.asarray(values, dtype=np.float64).tolist(), strict=False)))
 
 
 def quaternion(xyzw: Any) -> Any:
     """Return a geometry_msgs/Quaternion."""
-    x, y, z, w = np.asarray(xyzw, dtype=np.float64).tolist()
-    return make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
+    return vector(xyzw, "geometry_msgs/Quaternion")
 
 
 def floats(values: Any) -> Any:
