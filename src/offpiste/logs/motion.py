@@ -26,15 +26,10 @@ _STALE = 0.1
 
 @dataclass(frozen=True)
 class Motion:
-    """Planar states at N times (`offpiste.core.conventions.STATE`); NaN where unknown.
+    """Planar states at N times (`offpiste.core.conventions.STATE`); NaN where unknown."""
 
-    Attributes:
-        state: targets; velocities derived from the pose are smoothed with zero phase.
-        state_causal: estimates from samples stamped at or before each time; NaN if one of these was dropped as
-            implausible (`offpiste.logs.pose_faults`).
-    """
-
-    state: Float[np.ndarray, "N 6"]
+    state: Float[np.ndarray, "N 6"]  # targets; velocities derived from the pose are smoothed with zero phase
+    # From samples stamped at or before each time; NaN if one of these was dropped as implausible (`pose_faults`).
     state_causal: Float[np.ndarray, "N 6"]
 
 

@@ -232,22 +232,15 @@ SECONDS_PER_UNIT: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "d": 86
 
 
 class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Clock of a log.
+    """Clock of a log."""
 
-    Attributes:
-        stamps: stamps of messages in bags: from their headers, or their arrival.
-        column: time column of a table.
-        unit: unit of that column: s, ms, us, ns, or d for days.
-        sort: sort samples, images and scans by their stamps (the latter two if they come at most 20 messages late);
-            otherwise those out of order are dropped.
-        max_gap: largest gap between samples to interpolate across; drives are cut at larger ones [s].
-    """
-
-    stamps: Literal["header", "receive"] = "header"
-    column: str = ""
-    unit: Literal["s", "ms", "us", "ns", "d"] = "s"
+    stamps: Literal["header", "receive"] = "header"  # stamps of messages in bags: from their headers, or their arrival
+    column: str = ""  # time column of a table
+    unit: Literal["s", "ms", "us", "ns", "d"] = "s"  # unit of that column; d for days
+    # Sort samples, images and scans by their stamps (the latter two if they come at most 20 messages late); otherwise
+    # those out of order are dropped.
     sort: bool = False
-    max_gap: Positive = 0.5
+    max_gap: Positive = 0.5  # largest gap between samples to interpolate across; drives are cut at larger ones [s]
 
 
 class Alignment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -74,20 +74,13 @@ def check_vehicle(vehicle: Vehicle, *, steers: bool) -> None:
 
 
 class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Estimation of planar motion from poses.
+    """Estimation of planar motion from poses."""
 
-    Attributes:
-        window: span of the pose samples behind one estimate [s].
-        slope_length: length of the path over which elevation is fitted for the slope of the driven path [m].
-        normals: "driven path" (in place of a map) or "flat".
-        axes: axes of the log's poses and velocities, rotated to z up on reading: "z up" (body x forward, y left, z up),
-            "body down" (body forward, right, down in a z-up world), "world down" (world north, east, down), or "ned"
-            (both down).
-    """
-
-    window: Positive = 0.3
-    slope_length: Positive = 6.0
-    normals: Literal["driven path", "flat"] = "driven path"
+    window: Positive = 0.3  # span of the pose samples behind one estimate [s]
+    slope_length: Positive = 6.0  # length of path over which elevation is fitted for the slope of the driven path [m]
+    normals: Literal["driven path", "flat"] = "driven path"  # in place of a map
+    # Axes of the log's poses and velocities, rotated to z up on reading: "z up" (body x forward, y left, z up), "body
+    # down" (body forward, right, down in a z-up world), "world down" (world north, east, down), or "ned" (both down).
     axes: Literal["z up", "body down", "world down", "ned"] = "z up"
 
 

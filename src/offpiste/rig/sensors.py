@@ -31,17 +31,12 @@ class Frames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Pose of a sensor on the vehicle, `body_from_sensor`.
+    """Pose of a sensor on the vehicle, `body_from_sensor`."""
 
-    Attributes:
-        position: in the body frame [m]; None in a rough guess without a position.
-        orientation: quaternion xyzw; (-0.5, 0.5, -0.5, 0.5) for the optical axes of a forward-looking camera.
-        looks: rough direction in place of `orientation`, as a start for `inspect --estimate-mountings`; refused by all
-            other commands.
-    """
-
-    position: tuple[Finite, Finite, Finite] | None = None
+    position: tuple[Finite, Finite, Finite] | None = None  # in the body frame [m]; None in a guess without a position
+    # Quaternion xyzw; (-0.5, 0.5, -0.5, 0.5) for the optical axes of a forward-looking camera.
     orientation: tuple[float, float, float, float] | None = None
+    # Rough direction in place of `orientation`, to start `inspect --estimate-mountings`; refused by all other commands.
     looks: Literal["", "forward", "left", "back", "right"] = ""
 
     def matrix(self, *, optical: bool = False) -> Float[np.ndarray, "4 4"]:
