@@ -145,17 +145,7 @@ def held_while_driving(time: Float[np.ndarray, " n"], position: Float[np.ndarray
 
 
 class _Steps:
-    """The s steps between f fresh samples; repeated samples count once.
-
-    Attributes:
-        fresh, held: first sample of each run of equal ones, and its last [f].
-        typical: sampling time [s].
-        way: displacements [s, k] [m].
-        seconds: durations from the last repetition of a sample, and never shorter than typical [s].
-        off: distances from the motion before and after (`deviation`) [m].
-        noise: distances that noise explains [m]; least: smallest faulty distance [m].
-        fast: steps in runs above the largest speed; fault: steps that no vehicle makes.
-    """
+    """The s steps between f fresh samples, each the first of a run of equal ones."""
 
     def __init__(
         self,
@@ -166,20 +156,21 @@ class _Steps:
         resolution: float,
     ) -> None:
         self.time, self.fresh, self.between, self.limits = time, fresh, between, limits
-        self.held = held = np.append(fresh[1:], len(time)) - 1
-        self.typical = float(np.median(np.diff(time[fresh])))
-        self.way = between(fresh[:-1], fresh[1:])
+        self.held = held = np.append(fresh[1:], len(time)) - 1  # last of each run of equal samples
+        self.typical = float(np.median(np.diff(time[fresh])))  # sampling time [s]
+        self.way = between(fresh[:-1], fresh[1:])  # displacements [s, k] [m]
         hold = np.minimum(time[held[:-1]] - time[fresh[:-1]], _HELD * self.typical)
+        # Durations from the last repetition of a sample [s].
         self.seconds = np.maximum(time[fresh[1:]] - time[held[:-1]] + hold, self.typical)
         velocity, length = self.way / self.seconds[:, None], _norm(self.way)
-        self.off = deviation(self.way, self.seconds, *_beside(velocity))
+        self.off = deviation(self.way, self.seconds, *_beside(velocity))  # distances from the motion beside a step [m]
         usual = min(float(np.median(_norm(velocity))), 0.25 * limits.speed)
-        self.least = max(limits.least, limits.least_time * usual) + resolution
+        self.least = max(limits.least, limits.least_time * usual) + resolution  # smallest faulty distance [m]
         scatter = np.maximum(median_filter(self.off, _LOCAL, mode="nearest"), np.percentile(self.off, _TYPICAL))
         common = min(3.0 * float(np.percentile(self.off, 99)), limits.common)
-        self.noise = np.minimum(_NOISES * scatter, limits.noise) + common
+        self.noise = np.minimum(_NOISES * scatter, limits.noise) + common  # distances that noise explains [m]
         self.fast = self._too_fast_for_long(length)
-        self.fault = self.off > self.least + self.noise + limits.acceleration * self.seconds**2
+        self.fault = self.off > self.least + self.noise + limits.acceleration * self.seconds**2  # no vehicle makes them
         self.fault |= (length > self.least + self.noise + limits.speed * self.seconds) | self.fast
 
     def _too_fast_for_long(self, length: Float[np.ndarray, " s"]) -> Bool[np.ndarray, " s"]:
@@ -195,15 +186,7 @@ class _Steps:
 
 
 class _Segments:
-    """Runs of samples between faulty steps.
-
-    Attributes:
-        first, last: first and last samples; begin, end: their times, with repetitions cut short [s].
-        weight: time that keeping a segment adds [s].
-        velocity_in, velocity_out: at its ends, over the time `span` [s]; NaN for a single sample [m/s].
-        noise: of a step [m].
-        entered, left: unexplained distance of the steps before and after [m].
-    """
+    """Runs of samples between faulty steps."""
 
     def __init__(self, steps: _Steps) -> None:
         self.steps, time, fresh, held, typical = steps, steps.time, steps.fresh, steps.held, steps.typical
@@ -213,16 +196,19 @@ class _Segments:
         reach = np.minimum(_BESIDE, ends - starts)
         span_in, span_out = clock[starts + reach] - clock[starts], clock[ends] - clock[ends - reach]
         inner = np.where(reach > 0, 1.0, np.nan)
-        with np.errstate(invalid="ignore", divide="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore"):  # velocities at the ends [m/s]; NaN for a single sample
             self.velocity_in = (path[starts + reach] - path[starts]) / (span_in * inner)[:, None]
             self.velocity_out = (path[ends] - path[ends - reach]) / (span_out * inner)[:, None]
-        self.span = np.maximum(np.minimum(span_in, span_out), typical)
-        self.first, self.last, self.begin = fresh[starts], fresh[ends], time[fresh[starts]]
+        self.span = np.maximum(np.minimum(span_in, span_out), typical)  # time over which they are known [s]
+        self.first, self.last = fresh[starts], fresh[ends]  # samples
+        self.begin = time[fresh[starts]]  # begin, end: times, with repetitions cut short [s]
         self.end = time[held[ends]] - np.minimum(time[held[ends]] - time[fresh[ends]], _HELD * typical)
         until = np.minimum(time[held], time[fresh] + _HELD * typical)
+        # Time that keeping a segment adds [s].
         self.weight = clock[ends] - clock[starts] + np.maximum(until[ends] - time[fresh[ends]], typical)
         last = len(steps.noise) - 1
         self.noise = np.minimum(steps.noise[np.minimum(starts, last)], steps.noise[np.maximum(ends - 1, 0)])
+        # Unexplained distances of the steps before and after [m].
         self.entered, self.left = np.append(np.inf, steps.off[cuts]), np.append(steps.off[cuts], np.inf)
 
     def links(self, origins: Int[np.ndarray, " m"], to: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:

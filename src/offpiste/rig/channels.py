@@ -80,43 +80,35 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Source of a channel: value = sign * ((unwrapped raw value) * scale + offset), converted from `unit`.
 
     For an orientation only `offset` applies: the rotation of the body about its z axis against the logged frame [rad].
-
-    Attributes:
-        topic: topic or folder; "" for a table.
-        fields: fields or columns in the channel's order: x y z, or a quaternion as x y z w. A steering command that is
-            a turn rate, as in geometry_msgs/Twist, has two: the turn rate and the speed [m/s].
-        frame: frame of velocities: "world", "body", or "unknown" (the pose is differentiated instead).
-        delay: how much later than measured a sample is stamped [s].
-        valid: converted values outside this interval are dropped as measurement faults.
-        clip: converted values are limited to this interval.
-        absolute: take the magnitude of a control whose sign is a direction, such as a commanded speed; before `clip`.
-        values: meanings of recorded values, for channels with one field; keys are numbers, true, false, or single
-            letters for recorded character codes. The other entries apply to the meanings.
-        joints: joint names of sensor_msgs/JointState by which the entries `fields` are found.
-        origin: latitude and longitude of x = y = 0 [degrees], so that drives share their coordinates; by default near
-            the first position of each log.
-        interpolation: "linear" for measurements, "hold" for commands, "on change" for commands that are published only
-            when they change and hold for any time.
-        repeats: "drop" leaves out samples equal to the previous one, except for one every `REPEATED`, for tables that
-            repeat the last value of a slower sensor.
     """
 
+    # Fields or columns in the channel's order: x y z, or a quaternion as x y z w. A steering command that is a turn
+    # rate, as in geometry_msgs/Twist, has two: the turn rate and the speed [m/s].
     fields: tuple[str, ...]
-    topic: str = ""
+    topic: str = ""  # topic or folder; "" for a table
     unit: str = ""
     scale: float = 1.0
     offset: float = 0.0
     sign: Literal[-1, 1] = 1
-    delay: float = 0.0
-    frame: Literal["", "world", "body", "unknown"] = ""
+    delay: float = 0.0  # how much later than measured a sample is stamped [s]
+    frame: Literal["", "world", "body", "unknown"] = (
+        ""  # of velocities; if "unknown", the pose is differentiated instead
+    )
     wrap: Wrap | None = None
-    valid: tuple[float, float] | None = None
-    clip: tuple[float, float] | None = None
-    absolute: bool = False
+    valid: tuple[float, float] | None = None  # converted values outside are dropped as measurement faults
+    clip: tuple[float, float] | None = None  # converted values are limited to this interval
+    absolute: bool = False  # take the magnitude of a control whose sign is a direction, such as a speed; before `clip`
+    # Meanings of recorded values, for channels with one field; keys are numbers, true, false, or single letters for
+    # recorded character codes. The other entries apply to the meanings.
     values: dict[str, float] = {}
-    joints: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()  # names in sensor_msgs/JointState by which the entries `fields` are found
+    # Latitude and longitude of x = y = 0 [degrees], so that drives share coordinates; by default near each log's start.
     origin: tuple[Annotated[float, Meta(ge=-90, le=90)], Annotated[float, Meta(ge=-360, le=360)]] | None = None
+    # "linear" for measurements, "hold" for commands, "on change" for commands that are published only when they change
+    # and hold for any time.
     interpolation: Literal["linear", "hold", "on change"] = "linear"
+    # "drop" leaves out samples equal to the previous one, except for one every `REPEATED`, for tables that repeat the
+    # last value of a slower sensor.
     repeats: Literal["keep", "drop"] = "keep"
 
     @property
