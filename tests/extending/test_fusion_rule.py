@@ -19,11 +19,11 @@ for feature, height in ((1.0, 5.0), (2.0, 9.0), (3.0, 9.0), (4.0, 7.0)):
     pipeline.add(FeatureCloud(point, sensor, np.array([[feature]], np.float32)), np.zeros(3))
 layers = pipeline.layers()
 assert layers.features[layers.valid].min() == layers.features[layers.valid].max() == 2.0
-compare("farthest")  # the loop and plain NumPy, which reads the same declaration
+compare("farthest")  # the map and the reference, which reads the same declaration
 """
 
 
-def test_an_added_rule_is_compiled_into_the_map_and_read_by_numpy():
+def test_an_added_rule_is_used_by_the_map_and_its_reference():
     succeeded("-c", MAP, extension="farthest")
 
 

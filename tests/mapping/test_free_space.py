@@ -1,13 +1,16 @@
 """Removal of the trail of a moving box, while walls, posts and thin trunks stay."""
 
+import inspect
+
 import numpy as np
 import pytest
 
 from mapping.height_field import spinning_scan
 from offpiste.core.errors import MapError
-from offpiste.mapping.free_space import COLUMNS, ROWS, SLOPE, STEEPEST, FreeSpaceSettings, nearest_returns, passed
+from offpiste.mapping import free_space
+from offpiste.mapping.free_space import FreeSpace, FreeSpaceSettings, nearest_returns
 from offpiste.mapping.pipeline import FeatureCloud, MapPipeline, MapSettings
-from offpiste.mapping.voxel_map import VoxelSettings
+from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
 
 SMALL = VoxelSettings(reach=25.0, capacity=200_000)
 SENSOR = np.array([0.0, 0.0, 1.9])
@@ -72,33 +75,14 @@ def test_what_stands_still_stays():
     assert held.occupied == cleared.occupied
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_loops_agree_with_plain_numpy(seed):
-    rng = np.random.default_rng(seed)
-    sensor = rng.uniform(-1e3, 1e3, 3)
-    points = sensor + rng.normal(size=(4000, 3)) * [15, 15, 2]
-    points[:2] = [[np.nan, 0, 0], sensor]
-    left_out = rng.random(4000) < 0.1
-    returns = nearest_returns(points, sensor, left_out)
-    near, many = plain_image(points[~left_out], sensor)
-    np.testing.assert_allclose(returns.near, near, rtol=1e-6)  # fused multiply-add
-    np.testing.assert_array_equal(returns.many, many)
-
-    settings = FreeSpaceSettings(reach=20.0, every=1, times=1, returns=3, beyond=0.2)
-    pipeline = MapPipeline(0, MapSettings(SMALL, ghosts=None, free_space=settings))
-    pipeline.voxel_map.recentre(sensor[:2], sensor[2])
-    places = sensor + rng.uniform(-15, 15, (3000, 3)) * [1, 1, 0.1]
-    distance = np.linalg.norm(places - sensor, axis=1).astype(np.float32)
-    pipeline.voxel_map.insert(places, None, np.zeros(3000, bool), distance)
-    before = held_places(pipeline.voxel_map)
-    assert pipeline._free_space is not None
-    gone = pipeline._free_space.clear(points, sensor, left_out)
-    after = {tuple(place) for place in held_places(pipeline.voxel_map)[:, :3]}
-    free = passed(returns, before[:, :3], sensor, settings) & (before[:, 3] > 0)
-    expected = {tuple(place) for place in before[~free, :3]}
-    assert gone > 20
-    assert len(after ^ expected) <= 2  # places on a pixel's edge, rounded otherwise
-    assert pipeline.voxel_map.occupied == len(after)
+def test_an_image_holds_the_returns_of_the_pixels_around_each_direction():
+    """The last column is beside the first; the last row is not beside the first."""
+    points = SENSOR + np.array([[1e-3, -5.0, 0.0], [-1e-3, -7.0, 0.0], [0.0, 6.0, -5.9], [0.0, 6.0, 3.55], [0, 1, 0]])
+    image = nearest_returns(points, SENSOR, np.array([False, False, False, False, True]))
+    np.testing.assert_array_equal(image.many[40, [253, 254, 255, 0, 1, 2]], [0, 1, 2, 2, 1, 0])
+    np.testing.assert_allclose(image.near[40, [253, 254, 255, 0, 1, 2]], [np.inf, 7, 5, 5, 5, np.inf], rtol=1e-6)
+    np.testing.assert_array_equal(image.many[[0, 1, 2, 40, 62, 63], 128], [1, 1, 0, 0, 1, 1])
+    assert image.many.sum() == 9 + 9 + 6 + 6
 
 
 def held_places(held):
@@ -115,24 +99,38 @@ def held_places(held):
     return np.array(result)
 
 
-def plain_image(points, sensor):
-    x, y, z = (points - sensor).astype(np.float32).T
-    with np.errstate(invalid="ignore", divide="ignore"):
-        away, r = np.abs(x) + np.abs(y), np.sqrt(x * x + y * y)
-        row = np.floor((z / r - np.float32(STEEPEST)) * np.float32(1 / SLOPE))
-        around = np.where(x >= 0, 1 + y / away, 3 - y / away)
-    nearest, count = np.full((ROWS, COLUMNS), np.inf, np.float32), np.zeros((ROWS, COLUMNS), int)
-    for i in np.flatnonzero((away > 0.01) & (row >= 0) & (row < ROWS)):
-        at = int(row[i]), min(int(around[i] * np.float32(COLUMNS / 4)), COLUMNS - 1)
-        count[at] += 1
-        nearest[at] = min(nearest[at], r[i])
-    near, many = np.full_like(nearest, np.inf), np.zeros_like(count)
-    for down in (-1, 0, 1):
-        rows = slice(max(down, 0), ROWS + min(down, 0)), slice(max(-down, 0), ROWS + min(-down, 0))
-        for along in (-1, 0, 1):
-            near[rows[0]] = np.minimum(near[rows[0]], np.roll(nearest, along, axis=1)[rows[1]])
-            many[rows[0]] += np.roll(count, along, axis=1)[rows[1]]
-    return near, many
+@pytest.mark.parametrize("seed", range(3))
+def test_the_library_agrees_with_its_plain_functions(seed, monkeypatch):
+    rng = np.random.default_rng(seed)
+    sensor = rng.uniform(-1e3, 1e3, 3)
+    clouds = [sensor + rng.normal(size=(n, 3)) * [15, 15, 2] for n in (4000, 0, 3000, 4000)]
+    clouds[0][:5] = [[np.nan, 0, 0], sensor, [np.inf, 0, 0], [1e300, 0, 0], SENSOR]
+    places = sensor + rng.uniform(-15, 15, (5000, 3)) * [1, 1, 0.1]
+    left_out = [rng.random(len(points)) < 0.1 for points in clouds]
+    settings = FreeSpaceSettings(reach=12.0, every=2, times=2, returns=3, beyond=0.2)
+    found = []
+    for name in ("library", "plain"):
+        if name == "plain":
+            monkeypatch.setattr(free_space, "put_returns", free_space.put_returns.plain)
+            monkeypatch.setattr(free_space, "clear_passed", free_space.clear_passed.plain)
+        held = VoxelMap(1, SMALL)
+        held.recentre(sensor[:2] + np.array([15.0, 0.0]), sensor[2])  # rows of the sensor's square end at the border
+        held.insert(places, rng.normal(size=(5000, 1)), np.ones(5000, bool), np.ones(5000))
+        space = FreeSpace(held, settings)
+        gone = [space.clear(points, sensor, mask) for points, mask in zip(clouds, left_out, strict=True)]
+        gone += [space.clear(clouds[0], np.array([x, 0.0, 0.0]), left_out[0]) for x in (np.nan, 1e300, -1e300)]
+        image = nearest_returns(clouds[0], sensor, left_out[0])
+        found.append((gone, image.many, held.voxels.heads[..., 1:3], held.voxels.changed, held_places(held), held))
+    for one, other in zip(*(each[:-1] for each in found), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert sum(gone) > 15
+    assert held.occupied == len(held_places(held)) == found[0][-1].occupied
+
+
+def test_arrays_of_other_shapes_are_refused():
+    for points, mask in ((np.zeros((3, 2)), np.zeros(3, bool)), (np.zeros((3, 3)), np.zeros(2, bool))):
+        with pytest.raises(ValueError, match="left out"):
+            inspect.unwrap(nearest_returns)(points, SENSOR, mask)
 
 
 def test_settings_are_checked():

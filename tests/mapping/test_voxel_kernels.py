@@ -1,15 +1,13 @@
 """Compiled loops against plain NumPy on random input: every border, rule and move."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
+import inspect
 
 import numpy as np
 import pytest
 
 from mapping import plain_map
-from offpiste.mapping.voxel_map import FUSION_RULES, VoxelMap, VoxelSettings
+from offpiste.mapping import voxel_map
+from offpiste.mapping.voxel_map import FUSION_RULES, VoxelMap, VoxelSettings, voxels_in
 from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings
 
 
@@ -74,11 +72,50 @@ def test_loops_agree_with_numpy_with_other_settings_and_at_utm_coordinates():
     compare(far=4.5e6)
 
 
-def test_loops_stay_inside_their_arrays(bounds_checked):
-    """Once more, compiled with bounds checks, in a process of its own."""
-    code = f"import {Path(__file__).stem} as t; t.compare(); t.compare('average', 0, 3)"
-    paths = os.pathsep.join((*map(str, Path(__file__).parents[:2]), os.environ.get("PYTHONPATH", "")))
-    subprocess.run([sys.executable, "-c", code], env=bounds_checked | {"PYTHONPATH": paths}, check=True)
+def contents(held):
+    """Heads, fields of each voxel in order, and numbers of the last changes; slots may be others."""
+    index = np.arange(held.cells)
+    row, column, level, slots = voxels_in(held.voxels, index, index)
+    heads, fields = held.voxels.heads[row, column], held.voxels.seen[slots]
+    np.testing.assert_array_equal(heads[level == 0, voxel_map.LOWEST], slots[level == 0])
+    assert len(slots) == len(np.unique(slots)) == held.occupied
+    fields[fields[:, voxel_map.FEATURE_HITS] == 0, voxel_map.FEATURES :] = 0  # not initialised
+    return np.column_stack((row, column, level, heads[:, :3])), fields, held.voxels.changed
+
+
+@pytest.mark.parametrize("rule", FUSION_RULES)
+@pytest.mark.parametrize(("channels", "capacity"), [(0, 40_000), (3, 40_000), (3, 500)])
+def test_the_library_agrees_with_its_plain_functions(rule, channels, capacity, monkeypatch):
+    rng = np.random.default_rng(channels)
+    settings = VoxelSettings(reach=4.0, height_reach=1e300, rule=rule, capacity=capacity)
+    library, plain = VoxelMap(channels, settings), VoxelMap(channels, settings)
+    for far in (0.0, 1.5, -1.0, 40.0, 4.5e6):
+        centre = np.array([far, -far, 1e-4 * far])
+        points, values, has, distance = scan(rng, centre, 3000, channels)
+        points[5::50, 2] = centre[2] + rng.uniform(-25, 25, len(points[5::50]))
+        points[6:10, 2] = -1e300, 1e300, 3e8, -3e8
+        for held, rules in ((library, 3), (plain, 0)):
+            monkeypatch.setattr(voxel_map, "COMPILED_RULES", rules)
+            held.recentre(centre[:2], centre[2])
+            held.insert(points, values, has, distance)
+            held.insert(points[:9], None, has[:9], distance[:9])
+            held.insert(points[:0], values[:0], has[:0], distance[:0])
+        (where, fields, changed), (plain_where, plain_fields, plain_changed) = contents(library), contents(plain)
+        assert len(fields) == len(plain_fields) > 100
+        assert library.lost == plain.lost
+        assert (library.lost > 0) == (capacity == 500)
+        np.testing.assert_array_equal(where, plain_where)
+        np.testing.assert_allclose(fields, plain_fields, atol=1e-5 if far < 1e6 else 1e-3, rtol=1e-5)
+        np.testing.assert_array_equal(changed, plain_changed)
+
+
+def test_arrays_of_other_shapes_are_refused():
+    held = VoxelMap(2, VoxelSettings(reach=2.0, capacity=100))
+    cloud = np.zeros((3, 3)), np.zeros((3, 2), np.float32), np.ones(3, bool), np.ones(3)
+    for number, wrong in enumerate((cloud[0][:, :2], *(array[:2] for array in cloud[1:]))):
+        with pytest.raises(ValueError, match="number N"):
+            inspect.unwrap(VoxelMap.insert)(held, *cloud[:number], wrong, *cloud[number + 1 :])
+    assert held.occupied == 0
 
 
 @pytest.mark.parametrize("rule", FUSION_RULES)

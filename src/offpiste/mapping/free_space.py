@@ -6,13 +6,27 @@ lowest voxel of a column is ground and always stays.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 
 from offpiste.core.errors import MapError
-from offpiste.mapping.voxel_map import BASE, FEATURED, OCCUPIED, PARTS, PASSED, STRIPE, VoxelMap, X, Y, Z, release
-from offpiste.native.compilation import MAPPING
+from offpiste.mapping.voxel_map import (
+    BASE,
+    FEATURED,
+    OCCUPIED,
+    PASSED,
+    VOXEL_TYPES,
+    VoxelMap,
+    Voxels,
+    X,
+    Z,
+    for_library,
+    release,
+    voxels_in,
+)
+from offpiste.native.library import compiled
 
 STEEPEST, SLOPE, ROWS, COLUMNS = -1.0, 0.025, 64, 256
 """Range image: slope of the lowest row, slope per row [m/m], rows and columns (1.4 degrees at the horizon)."""
@@ -45,12 +59,21 @@ def nearest_returns(
     points_world: Float[np.ndarray, "N 3"], sensor_world: Float[np.ndarray, " 3"], left_out: Bool[np.ndarray, " N"]
 ) -> NearestReturns:
     """Return the range image of a scan; points marked in `left_out` are ignored."""
-    points, sensor = np.ascontiguousarray(points_world, np.float64), np.ascontiguousarray(sensor_world, np.float64)
-    nearest, count = np.zeros((ROWS, COLUMNS), np.float32), np.zeros((ROWS, COLUMNS), np.int32)
-    put_nearest(points, sensor, left_out, nearest, count)
-    result = NearestReturns(np.zeros_like(nearest), np.zeros_like(count))
-    put_around(nearest, count, result.near, result.many)
-    return result
+    points, n = np.ascontiguousarray(points_world, np.float64), len(points_world)
+    left_out = np.ascontiguousarray(left_out, np.bool_)
+    if points.shape != (n, 3) or left_out.shape != (n,):
+        raise ValueError(f"{points.shape} points, but {left_out.shape} left out")
+    nearest, count = np.full((ROWS, COLUMNS), np.inf, np.float32), np.zeros((ROWS, COLUMNS), np.int32)
+    put_returns(points, n, np.ascontiguousarray(sensor_world, np.float64), left_out, nearest, count)
+    return NearestReturns(_around(nearest, np.minimum, np.inf), _around(count, np.add, 0.0))
+
+
+def _around(values: Shaped[np.ndarray, "r c"], combine: np.ufunc, outside: float) -> Shaped[np.ndarray, "r c"]:
+    """Combine the 3 x 3 pixels around each pixel; the first and the last column are neighbours."""
+    wide = np.full((values.shape[0] + 2, values.shape[1]), outside, values.dtype)
+    wide[1:-1] = values
+    rows = combine(combine(wide[:-2], wide[1:-1]), wide[2:])
+    return np.asarray(combine(combine(np.roll(rows, 1, axis=1), rows), np.roll(rows, -1, axis=1)))
 
 
 def passed(
@@ -59,18 +82,25 @@ def passed(
     sensor_world: Float[np.ndarray, " 3"],
     settings: FreeSpaceSettings,
 ) -> Bool[np.ndarray, " N"]:
-    """Return whether the rays of a scan passed finite points (NumPy version of `is_passed`)."""
-    x, y, z = (points_world - sensor_world).astype(np.float32).T
-    with np.errstate(invalid="ignore", divide="ignore"):
+    """Return whether the rays of a scan passed finite points."""
+    row, column, r = _pixels(points_world, sensor_world)
+    enough = (row >= 0) & (returns.many[row, column] >= settings.returns)
+    return np.asarray(enough & (returns.near[row, column] > r + np.float32(settings.beyond)))
+
+
+def _pixels(
+    points: Float[np.ndarray, "N 3"], sensor: Float[np.ndarray, " 3"]
+) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    """Return rows and columns, -1 outside the image, and horizontal distances of points."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        x, y, z = (points - sensor).astype(np.float32).T
         away, r = np.abs(x) + np.abs(y), np.sqrt(x * x + y * y)
         row = np.floor((z / r - np.float32(STEEPEST)) * np.float32(1 / SLOPE))
         share = y / away
-    inside = (away > np.float32(0.01)) & (away < np.float32(1e4)) & (row >= 0) & (row < ROWS)
-    around = np.where(inside, np.where(x >= 0, 1 + share, 3 - share), 0)
+        inside = (away > np.float32(0.01)) & (away < np.float32(1e4)) & (row >= 0) & (row < ROWS)
+        around = np.where(inside, np.where(x >= 0, 1 + share, 3 - share), 0)
     column = np.minimum((around * np.float32(COLUMNS / 4)).astype(int), COLUMNS - 1)
-    row = np.where(inside, row, 0).astype(int)
-    enough = returns.many[row, column] >= settings.returns
-    return np.asarray(inside & enough & (returns.near[row, column] > r + np.float32(settings.beyond)))
+    return np.where(inside, row, -1).astype(int), np.where(inside, column, -1), r
 
 
 class FreeSpace:
@@ -97,101 +127,67 @@ class FreeSpace:
         sensor = np.ascontiguousarray(sensor_world, np.float64)
         self._turn = (self._turn + 1) % settings.every
         self._map.changes += 1
-        where = self._turn, settings.every, self._map.low, round(settings.reach / size), sensor, size
-        rule = np.float32(settings.beyond), settings.returns, settings.times
-        return int(clear_passed(*where, image.near, image.many, *rule, self._map.changes, self._map.voxels))
+        where = self._turn, settings.every, self._map.low, float(round(settings.reach / size)), sensor, size
+        rule = float(settings.beyond), settings.returns, settings.times, self._map.changes
+        return int(clear_passed(*where, image.near, image.many, *rule, *for_library(self._map.voxels)))
 
 
-@MAPPING.inlined
-def pixel(x, y, z):  # type: ignore[no-untyped-def]
-    """Return row and column of a point relative to the sensor, -1 outside the image, and its horizontal distance."""
-    away = abs(x) + abs(y)
-    r = np.sqrt(x * x + y * y)
-    if not (np.float32(0.01) < away < np.float32(1e4)):
-        return -1, -1, r
-    row = np.floor((z / r - np.float32(STEEPEST)) * np.float32(1 / SLOPE))
-    if not (0 <= row < ROWS):
-        return -1, -1, r
-    share = y / away
-    around = np.float32(1) + share if x >= 0 else np.float32(3) - share
-    return np.int64(row), min(np.int64(around * np.float32(COLUMNS / 4)), COLUMNS - 1), r
+@compiled("f8", int, "f8", "b1", "f4", "i4")
+def put_returns(
+    points: Float[np.ndarray, "N 3"],
+    count: int,
+    sensor: Float[np.ndarray, " 3"],
+    left_out: Bool[np.ndarray, " N"],
+    nearest: Float[np.ndarray, "r c"],
+    many: Int[np.ndarray, "r c"],
+) -> None:
+    """Reduce the distance of each pixel's nearest return [m], and add to its number of returns."""
+    row, column, r = _pixels(points, sensor)
+    there = (row >= 0) & ~left_out
+    np.minimum.at(nearest, (row[there], column[there]), r[there])
+    np.add.at(many, (row[there], column[there]), 1)
 
 
-@MAPPING.entry
-def put_nearest(points, sensor, left_out, nearest, count):  # type: ignore[no-untyped-def]
-    """Write the distance of each pixel's nearest return, infinite without any, and its number of returns."""
-    nearest[:] = np.float32(np.inf)
-    count[:] = 0
-    for i in range(len(points)):
-        x, y = np.float32(points[i, 0] - sensor[0]), np.float32(points[i, 1] - sensor[1])
-        row, column, r = pixel(x, y, np.float32(points[i, 2] - sensor[2]))
-        if row >= 0 and not left_out[i]:
-            count[row, column] += 1
-            nearest[row, column] = min(nearest[row, column], r)
-
-
-@MAPPING.entry
-def put_around(nearest, count, near, many):  # type: ignore[no-untyped-def]
-    """Write the nearest return and the number of returns of the 3 x 3 pixels around each pixel."""
-    for row in range(ROWS):
-        for column in range(COLUMNS):
-            near[row, column], many[row, column] = nearest[row, column], count[row, column]
-        for beside in (row - 1, row + 1):
-            if 0 <= beside < ROWS:
-                for column in range(COLUMNS):
-                    near[row, column] = min(near[row, column], nearest[beside, column])
-                    many[row, column] += count[beside, column]
-        # The first and the last column are neighbours.
-        first, before = (near[row, 0], many[row, 0]), (near[row, COLUMNS - 1], many[row, COLUMNS - 1])
-        for column in range(COLUMNS):
-            here = near[row, column], many[row, column]
-            after = (near[row, column + 1], many[row, column + 1]) if column + 1 < COLUMNS else first
-            near[row, column], many[row, column] = min(before[0], here[0], after[0]), before[1] + here[1] + after[1]
-            before = here
-
-
-@MAPPING.inlined
-def is_passed(x, y, z, near, many, beyond, returns):  # type: ignore[no-untyped-def]
-    """Return whether a point has at least `returns` around it, all of them `beyond` further from the sensor."""
-    row, column, r = pixel(x, y, z)
-    return row >= 0 and many[row, column] >= returns and near[row, column] > r + beyond
-
-
-@MAPPING.entry
-def clear_passed(  # type: ignore[no-untyped-def]
-    first, stride, low, reach, sensor, size, near, many, beyond, returns, times, number, voxels
-):
+@compiled(*(int, int, "i8", float, "f8", float, "f4", "i4", float, int, int, int), *VOXEL_TYPES, returns=int)
+def clear_passed(
+    first: int,
+    stride: int,
+    low: Int[np.ndarray, " 2"],
+    reach: float,
+    sensor: Float[np.ndarray, " 3"],
+    size: float,
+    near: Float[np.ndarray, "r c"],
+    many: Int[np.ndarray, "r c"],
+    beyond: float,
+    returns: int,
+    times: int,
+    number: int,
+    *arrays: Any,
+) -> int:
     """Remove voxels that rays passed through `times` times since the last hit, in every `stride`th row from `first`.
 
     Args:
-        low: integer coordinates x, y of the map's lowest cell [2].
+        low: integer coordinates x, y of the map's lowest cell.
         reach: distance from the sensor [cells].
+        near, many, beyond, returns: as in `NearestReturns` and `FreeSpaceSettings`.
         number: number of this map change.
+        arrays: of `for_library`.
     """
-    n, gone = voxels.heads.shape[0], 0
-    middle_x, middle_y = np.int64(np.floor(sensor[0] / size)), np.int64(np.floor(sensor[1] / size))
-    for j in range(max(low[1], middle_y - reach), min(low[1] + n, middle_y + reach + 1)):
-        if j % stride != first:
-            continue
-        row = j % n
-        part = (row >> STRIPE) % PARTS
-        for i in range(max(low[0], middle_x - reach), min(low[0] + n, middle_x + reach + 1)):
-            head, slots = voxels.heads[row, i % n], voxels.slots[row, i % n]
-            above, level = np.int64(head[OCCUPIED]) >> 1, 1
-            while above != 0:
-                if above & 1:
-                    seen = voxels.seen[slots[level]]
-                    x = np.float32((i + np.float64(0.5) + seen[X]) * size - sensor[0])
-                    y = np.float32((j + np.float64(0.5) + seen[Y]) * size - sensor[1])
-                    z = np.float32((head[BASE] + level + np.float64(seen[Z])) * size - sensor[2])
-                    if is_passed(x, y, z, near, many, beyond, returns):
-                        seen[PASSED] += np.float32(1)
-                        if seen[PASSED] >= times:
-                            release(voxels, part, slots[level])
-                            head[OCCUPIED] &= ~(np.int64(1) << level)
-                            head[FEATURED] &= ~(np.int64(1) << level)
-                            voxels.changed[row, i % n] = number
-                            gone += 1
-                above >>= 1
-                level += 1
-    return gone
+    voxels, n = Voxels(*arrays[:6]), arrays[6]
+    middle = np.floor(sensor[:2] / size)
+    begin, end = (np.fmin(np.fmax(middle + to, low), low + n).astype(np.int64) for to in (-reach, reach + 1))
+    x, y = np.arange(begin[0], end[0]), np.arange(begin[1], end[1])
+    found = voxels_in(voxels, y[y % stride == first] % n, x % n)
+    row, column, level, slots = (each[found[2] > 0] for each in found)
+    corner = np.column_stack((column, row)) - begin
+    cell = np.column_stack((begin + corner % n + 0.5, voxels.heads[row, column, BASE] + level))
+    settings = FreeSpaceSettings(beyond=beyond, returns=returns)
+    free = passed(NearestReturns(near, many), (cell + voxels.seen[slots, X : Z + 1]) * size, sensor, settings)
+    voxels.seen[slots, PASSED] += free
+    gone = np.flatnonzero(free & (voxels.seen[slots, PASSED] >= times))
+    release(voxels, slots[gone])
+    for field in (OCCUPIED, FEATURED):
+        kept = ~(1 << level[gone]).astype(np.int32)
+        np.bitwise_and.at(voxels.heads[..., field], (row[gone], column[gone]), kept)
+    voxels.changed[row[gone], column[gone]] = number
+    return len(gone)

@@ -1,16 +1,11 @@
 """A rolling voxel map around the vehicle that keeps, in each voxel, the observation taken from the closest distance.
 
 "To fuse multiple measurements, we retain the closest observation, allowing for instant updates and temporal stability
-when moving away from a location" (paper, "Mapping of Visual Features"). A fusion rule is a function of plain scalars
-that Numba compiles into the loop over points; it must work on NumPy arrays too. A NumPy reference of the loops is in
-tests/mapping.
+when moving away from a location" (paper, "Mapping of Visual Features").
 """
 
-import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from types import FunctionType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -18,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from offpiste.core.errors import MapError
 from offpiste.core.registry import Registry
-from offpiste.native.compilation import MAPPING, Function
+from offpiste.native.library import Type, compiled
 from offpiste.native.threads import spread_blocks
 
 Scalar = Any  # number or array
@@ -49,6 +44,10 @@ def average(distance: Scalar, held_distance: Scalar, count: Scalar) -> Scalar:
     return 1.0 / count
 
 
+COMPILED_RULES: Final = 3
+"""Number of rules in the compiled library, the first in `FUSION_RULES`; others are evaluated on arrays, slower."""
+
+
 BASE, OCCUPIED, FEATURED, LOWEST = range(4)
 """Fields of a column's head: level of its lowest voxel, counted from the world's zero; bit masks of the levels from
 there upwards that are occupied and that have features; slot of the lowest voxel. In an empty column only `OCCUPIED` is
@@ -72,6 +71,8 @@ STRIPE: Final = 3  # log2 of the number of rows in a stripe
 
 _ALL_BITS: Final = (1 << LEVELS) - 1
 
+_HIGHEST: Final = 1e9  # bound of levels, so that int32 suffices
+
 
 class Voxels(NamedTuple):
     """Columns and a pool of voxel slots, as arrays that compiled loops accept.
@@ -87,206 +88,172 @@ class Voxels(NamedTuple):
     counts: np.ndarray  # int64 [PARTS, 3]
 
 
-@MAPPING.inlined
-def take(voxels, part):  # type: ignore[no-untyped-def]
-    """Take a free slot of a part, or return -1 if it is full."""
-    counts, size = voxels.counts[part], voxels.freed.shape[1]
+VOXEL_TYPES: Final[tuple[Type, ...]] = ("i4", "i4", "i4", "f4", "i4", "i8", int, int, int)
+"""Types of what `for_library` returns."""
+
+
+def for_library(voxels: Voxels) -> tuple[Any, ...]:
+    """Return the arrays, the number of cells, the width of a voxel and the number of slots of a part."""
+    return (*voxels, len(voxels.heads), voxels.seen.shape[1], voxels.freed.shape[1])
+
+
+def find_slots(
+    voxels: Voxels, row: Int[np.ndarray, " N"], column: Int[np.ndarray, " N"], level: Int[np.ndarray, " N"]
+) -> Int[np.ndarray, " N"]:
+    """Return the slots of voxels, -1 where there is none."""
+    head = voxels.heads[row, column].astype(np.int64)
+    up = level - head[:, BASE]
+    inside = np.clip(up, 0, LEVELS - 1)
+    held = (up == inside) & (head[:, OCCUPIED] >> inside & 1 == 1)
+    return np.where(held, voxels.slots[row, column, inside], -1)
+
+
+def voxels_in(
+    voxels: Voxels, rows: Int[np.ndarray, " R"], columns: Int[np.ndarray, " C"]
+) -> tuple[Int[np.ndarray, " N"], ...]:
+    """Return row, column, level over the lowest voxel, and slot of all voxels where rows and columns cross."""
+    occupied = voxels.heads[rows[:, None], columns, OCCUPIED]
+    j, i, level = np.nonzero(occupied[..., None] >> np.arange(LEVELS, dtype=np.int32) & 1)
+    return rows[j], columns[i], level, voxels.slots[rows[j], columns[i], level]
+
+
+def release(voxels: Voxels, slots: Int[np.ndarray, " N"]) -> None:
+    """Return slots to their parts."""
+    size = voxels.freed.shape[1]
+    for part in np.unique(slots // size).tolist():
+        own, start = slots[slots // size == part], voxels.counts[part, FREED]
+        voxels.freed[part, start : start + len(own)] = own
+        voxels.counts[part, FREED] += len(own)
+
+
+def _create(voxels: Voxels, row: int, column: int, level: int) -> None:
+    """Create a voxel if there is none; an observation without room is counted as lost."""
+    head, slots = voxels.heads[row, column], voxels.slots[row, column]
+    part, size, occupied = (row >> STRIPE) % PARTS, voxels.freed.shape[1], int(head[OCCUPIED])
+    up, counts = level - int(head[BASE]) if occupied else 0, voxels.counts[part]
+    if up >= LEVELS or (up >= 0 and occupied >> up & 1):
+        return
     if counts[FREED] > 0:
         counts[FREED] -= 1
-        return np.int64(voxels.freed[part, counts[FREED]])
-    if counts[EVER] == size:
+        slot = voxels.freed[part, counts[FREED]]
+    elif counts[EVER] < size:
+        slot = part * size + counts[EVER]
+        counts[EVER] += 1
+    else:
         counts[LOST] += 1
-        return np.int64(-1)
-    counts[EVER] += 1
-    return np.int64(part * size + counts[EVER] - 1)
-
-
-@MAPPING.inlined
-def release(voxels, part, slot):  # type: ignore[no-untyped-def]
-    """Return a slot to its part."""
-    counts = voxels.counts[part]
-    voxels.freed[part, counts[FREED]] = slot
-    counts[FREED] += 1
-
-
-@MAPPING.inlined
-def lower(voxels, part, head, slots, by):  # type: ignore[no-untyped-def]
-    """Shift a column for a new lowest voxel `by` levels below, and release voxels above the top level."""
-    occupied = np.int64(head[OCCUPIED])
-    for level in range(LEVELS - 1, -1, -1):
-        if (occupied >> level) & 1:
-            if level + by < LEVELS:
-                slots[level + by] = slots[level]
-            else:
-                release(voxels, part, slots[level])
-    shift = min(by, LEVELS)
-    head[OCCUPIED] = (occupied << shift) & _ALL_BITS
-    head[FEATURED] = (np.int64(head[FEATURED]) << shift) & _ALL_BITS
-    head[BASE] -= by
-
-
-@MAPPING.inlined
-def slot_of(voxels, part, row, across, level):  # type: ignore[no-untyped-def]
-    """Find or create the slot of a voxel; return it, or -1 without room, and the bit of its level."""
-    head, slots = voxels.heads[row, across], voxels.slots[row, across]
-    occupied = np.int64(head[OCCUPIED])
-    up = level - head[BASE] if occupied != 0 else np.int64(0)
-    if up >= LEVELS:
-        return np.int64(-1), np.int64(0)
-    if up >= 0 and (occupied >> up) & 1:
-        return np.int64(slots[up]), np.int64(1) << up
-    new = take(voxels, part)
-    if new < 0:
-        return new, np.int64(0)
-    if occupied == 0:
+        return
+    if up < 0:  # shift the column for a new lowest voxel, and release voxels above the top level
+        held = np.flatnonzero(occupied >> np.arange(LEVELS) & 1)
+        kept = held[held - up < LEVELS]
+        release(voxels, slots[held[len(kept) :]])
+        slots[kept - up] = slots[kept]
+        for field in (OCCUPIED, FEATURED):
+            head[field] = int(head[field]) << min(-up, LEVELS) & _ALL_BITS
+        head[BASE], up = level, 0
+    if not occupied:
         head[BASE], head[FEATURED] = level, 0
-    elif up < 0:
-        lower(voxels, part, head, slots, -up)
-        up = np.int64(0)
     if up == 0:
-        head[LOWEST] = new
-    slots[up] = new
-    head[OCCUPIED] |= np.int64(1) << up
-    seen = voxels.seen[new]
-    seen[DISTANCE], seen[FEATURE_DISTANCE], seen[HITS], seen[FEATURE_HITS] = np.inf, np.inf, 0, 0
-    seen[PASSED] = 0
-    return new, np.int64(1) << up
+        head[LOWEST] = slot
+    slots[up] = slot
+    head[OCCUPIED] |= 1 << up
+    voxels.seen[slot, :FEATURES] = 0
+    voxels.seen[slot, [DISTANCE, FEATURE_DISTANCE]] = np.inf
 
 
-def share_of_new(distance: float, held_distance: float, count: float) -> float:
-    """Placeholder of the fusion rule that `point_inserter` compiles into the loop."""
-    raise NotImplementedError
+def _fuse(
+    seen: Float[np.ndarray, "S W"],
+    slots: Int[np.ndarray, " N"],
+    values: Float[np.ndarray, "N C"],
+    fields: Sequence[int],
+    count: int,
+    rule: FusionRule,
+) -> Bool[np.ndarray, " N"]:
+    """Fuse observations into fields of their voxels, the first of which is the distance; return which had an effect."""
+    effect, order = np.zeros(len(slots), bool), np.argsort(slots, kind="stable")
+    starts = np.flatnonzero(np.diff(slots[order], prepend=-1))
+    rank = np.arange(len(slots)) - np.repeat(starts, np.diff(starts, append=len(slots)))
+    for rows in np.split(order[np.argsort(rank, kind="stable")], np.cumsum(np.bincount(rank))[:-1]):
+        at, new = slots[rows], values[rows]  # the next observation of each voxel
+        held = seen[at[:, None], fields]
+        seen[at, count] += 1
+        share, again = np.ones(len(at), np.float32), seen[at, count] > 1
+        share[again] = rule(new[again, 0], held[again, 0], seen[at[again], count])
+        with np.errstate(invalid="ignore"):
+            fused = np.where(share[:, None] == 1, new, held + (new - held) * share[:, None])
+        seen[at[:, None], fields] = np.where(share[:, None] == 0, held, fused)
+        effect[rows] = share != 0
+    return effect
 
 
-@MAPPING.inlined
-def fuse_place(seen, x, y, z, distance, share):  # type: ignore[no-untyped-def]
-    """Fuse the position of a hit with the held one; return whether it moved."""
-    if share == 1:
-        seen[X], seen[Y], seen[Z], seen[DISTANCE] = x, y, z, distance
-    elif share != 0:
-        seen[X] += (x - seen[X]) * share
-        seen[Y] += (y - seen[Y]) * share
-        seen[Z] += (z - seen[Z]) * share
-        seen[DISTANCE] += (distance - seen[DISTANCE]) * share
-    return share != 0
-
-
-@MAPPING.inlined
-def fuse_features(seen, features, distance, share):  # type: ignore[no-untyped-def]
-    """Fuse the features of a hit with the held ones; return whether they changed."""
-    if share == 1:
-        seen[FEATURE_DISTANCE] = distance
-        for k in range(len(features)):
-            seen[FEATURES + k] = features[k]
-    elif share != 0:
-        seen[FEATURE_DISTANCE] += (distance - seen[FEATURE_DISTANCE]) * share
-        for k in range(len(features)):
-            seen[FEATURES + k] += (features[k] - seen[FEATURES + k]) * share
-    return share != 0
-
-
-@MAPPING.inlined
-def finite(features):  # type: ignore[no-untyped-def]
-    """Return whether all features are finite."""
-    total = np.float32(0)
-    for k in range(len(features)):
-        total += features[k] - features[k]  # 0, or not a number
-    return total == 0
-
-
-@cache
-def point_inserter(rule: str) -> Function:
-    """Compile `insert_points` with the named fusion rule inlined."""
-    share = inspect.unwrap(FUSION_RULES[rule])
-    loop = inspect.unwrap(insert_points)
-    own = FunctionType(loop.__code__, {**loop.__globals__, "share_of_new": MAPPING.inlined(share)}, loop.__name__)
-    return MAPPING.entry(own, salt=inspect.getsource(share))
-
-
-def insert_points(  # type: ignore[no-untyped-def]
-    first, last, points, features, has_feature, distance, low, middle, reach, scale, number, voxels
-):
+@compiled(int, int, int, "f8", "f4", "b1", "f4", int, int, "i8", float, float, float, int, *VOXEL_TYPES)
+def insert_points(
+    first: int,
+    last: int,
+    rule: int,
+    points: Float[np.ndarray, "N 3"],
+    features: Float[np.ndarray, "N F"] | None,
+    has_feature: Bool[np.ndarray, " N"],
+    distance: Float[np.ndarray, " N"],
+    count: int,
+    channels: int,
+    low: Int[np.ndarray, " 2"],
+    middle: float,
+    reach: float,
+    scale: float,
+    number: int,
+    *arrays: Any,
+) -> None:
     """Insert points into the parts `first` to `last` of the map.
 
     Args:
-        points: in the world frame, float64 [N, 3] [m].
-        low: integer coordinates x, y of the map's lowest cell [2].
+        rule: index in `FUSION_RULES`, less than `COMPILED_RULES` in the library.
+        points: in the world frame [m].
+        count, channels: N and F.
+        low: integer coordinates x, y of the map's lowest cell.
         middle, reach: points with |z - middle| > reach are ignored [m].
         scale: voxels per metre.
         number: number of this map change.
+        arrays: of `for_library`.
     """
-    n, one = voxels.heads.shape[0], np.float32(1)
-    start_x, start_y = low[0] % n, low[1] % n
-    for i in range(len(points)):
-        y = points[i, 1] * scale
-        floor_y = np.floor(y)
-        cell_y = floor_y - low[1]
-        # False for NaN as well.
-        if not (0 <= cell_y < n):
-            continue
-        row = start_y + np.int64(cell_y)
-        row = row - n if row >= n else row
-        part = (row >> STRIPE) % PARTS
-        if not (first <= part < last):
-            continue
-        x = points[i, 0] * scale
-        floor_x = np.floor(x)
-        cell_x = floor_x - low[0]
-        if not (0 <= cell_x < n) or not (abs(points[i, 2] - middle) <= reach) or not (0 <= distance[i] < np.inf):
-            continue
-        across = start_x + np.int64(cell_x)
-        across = across - n if across >= n else across
-        z = points[i, 2] * scale
-        level = np.floor(z)
-        slot, bit = slot_of(voxels, part, row, across, np.int64(level))
-        if slot < 0:
-            continue
-        seen = voxels.seen[slot]
-        x, y, z = x - floor_x - 0.5, y - floor_y - 0.5, z - level
-        share = one
-        seen[HITS] += one
-        seen[PASSED] = 0
-        if seen[HITS] > 1:
-            share = np.float32(share_of_new(distance[i], seen[DISTANCE], seen[HITS]))
-        changed = fuse_place(seen, np.float32(x), np.float32(y), np.float32(z), distance[i], share)
-        if has_feature[i] and finite(features[i]):
-            share = one
-            seen[FEATURE_HITS] += one
-            if seen[FEATURE_HITS] > 1:
-                share = np.float32(share_of_new(distance[i], seen[FEATURE_DISTANCE], seen[FEATURE_HITS]))
-            changed |= fuse_features(seen, features[i], distance[i], share)
-            voxels.heads[row, across, FEATURED] |= bit
-        if changed:
-            voxels.changed[row, across] = number
+    share = FUSION_RULES[tuple(FUSION_RULES)[rule]]
+    voxels, n = Voxels(*arrays[:6]), arrays[6]
+    with np.errstate(invalid="ignore", over="ignore"):
+        scaled = points * scale
+        cell = np.floor(scaled)
+        good = ((cell[:, :2] >= low) & (cell[:, :2] < low + n)).all(axis=1) & (np.abs(cell[:, 2]) < _HIGHEST)
+        good &= (np.abs(points[:, 2] - middle) <= reach) & (distance >= 0) & (distance < np.inf)
+    good[good] &= np.isin((cell[good, 1].astype(np.int64) % n >> STRIPE) % PARTS, range(first, last))
+    cell = cell[good].astype(np.int64)
+    (column, row), level = cell[:, :2].T % n, cell[:, 2]
+    new = find_slots(voxels, row, column, level) < 0
+    for place in np.column_stack((row, column, level))[new].tolist():
+        _create(voxels, *place)
+    slots = find_slots(voxels, row, column, level)
+    held = slots >= 0
+    good[good], slots, row, column, level = held, slots[held], row[held], column[held], level[held]
+    offset = scaled[good] - np.floor(scaled[good]) - [0.5, 0.5, 0.0]
+    values = np.column_stack((distance[good], offset)).astype(np.float32)
+    voxels.seen[slots, PASSED] = 0
+    changed = _fuse(voxels.seen, slots, values, (DISTANCE, X, Y, Z), HITS, share)
+    if features is not None:
+        seen = has_feature[good] & np.isfinite(features[good]).all(axis=1)
+        values = np.column_stack((distance[good], features[good]))[seen]
+        fields = (FEATURE_DISTANCE, *range(FEATURES, FEATURES + features.shape[1]))
+        changed[seen] |= _fuse(voxels.seen, slots[seen], values, fields, FEATURE_HITS, share)
+        bit = 1 << level - voxels.heads[row, column, BASE]
+        np.bitwise_or.at(voxels.heads[..., FEATURED], (row[seen], column[seen]), bit[seen].astype(np.int32))
+    voxels.changed[row[changed], column[changed]] = number
 
 
-@MAPPING.inlined
-def forget_column(voxels, part, row, across, number):  # type: ignore[no-untyped-def]
-    """Empty a column."""
-    occupied, level = np.int64(voxels.heads[row, across, OCCUPIED]), 0
-    while occupied != 0:
-        if occupied & 1:
-            release(voxels, part, voxels.slots[row, across, level])
-        occupied >>= 1
-        level += 1
-    voxels.heads[row, across, OCCUPIED] = 0
-    voxels.changed[row, across] = number
-
-
-@MAPPING.entry
-def forget_left_behind(old, new, number, voxels):  # type: ignore[no-untyped-def]
-    """Empty the columns outside the map after its lowest cell moves from `old` to `new` (integer x, y [2])."""
-    n = voxels.heads.shape[0]
-    left, right = max(old[0], new[0]), min(old[0], new[0]) + n
-    for j in range(old[1], old[1] + n):
-        row = j % n
-        part = (row >> STRIPE) % PARTS
-        gone = not (new[1] <= j < new[1] + n) or left >= right
-        for i in range(old[0], old[0] + n if gone else left):
-            forget_column(voxels, part, row, i % n, number)
-        if not gone:
-            for i in range(right, old[0] + n):
-                forget_column(voxels, part, row, i % n, number)
+def forget_left_behind(old: Int[np.ndarray, " 2"], new: Int[np.ndarray, " 2"], number: int, voxels: Voxels) -> None:
+    """Empty the columns outside the map after its lowest cell moves from `old` to `new` (integer x, y)."""
+    index = np.arange(len(voxels.heads))
+    cell = old + (index[:, None] - old) % len(index)
+    stays = (cell >= new) & (cell < new + len(index))
+    for rows, columns in ((index[~stays[:, 1]], index), (index[stays[:, 1]], index[~stays[:, 0]])):
+        row, column, _, slots = voxels_in(voxels, rows, columns)
+        release(voxels, slots)
+        voxels.heads[row, column, OCCUPIED], voxels.changed[row, column] = 0, number
 
 
 @dataclass(frozen=True)
@@ -352,7 +319,6 @@ class VoxelMap:
             counts=np.zeros((PARTS, 3), np.int64),
         )
         self._scale = 1.0 / self.settings.size
-        self._insert_points = point_inserter(self.settings.rule)
 
     @property
     def cells(self) -> int:
@@ -408,16 +374,20 @@ class VoxelMap:
             has_feature: mask of the points that have features.
             distance: distance from the sensor to each point [m].
         """
-        if features is None:
-            features, has_feature = np.zeros((1, self.channels), np.float32), np.zeros(len(points_world), bool)
-        elif features.shape[1] != self.channels:
+        if features is not None and features.shape[1] != self.channels:
             raise ValueError(f"the map has {self.channels} channels, these points {features.shape[1]}")
         self.changes += 1
         points, distance = np.ascontiguousarray(points_world, np.float64), np.ascontiguousarray(distance, np.float32)
-        features, has_feature = np.ascontiguousarray(features, np.float32), np.ascontiguousarray(has_feature)
-        frame = self.low, self.middle, self.settings.height_reach, self._scale, self.changes, self.voxels
-        seen = points, features, has_feature, distance
-        spread_blocks(self.settings.threads, PARTS, self._insert_points, *seen, *frame)
+        has_feature = np.ascontiguousarray(has_feature, np.bool_)
+        features = None if features is None else np.ascontiguousarray(features, np.float32)
+        n, others = len(points), (has_feature, distance) if features is None else (has_feature, distance, features)
+        if points.shape != (n, 3) or any(len(other) != n for other in others):
+            raise ValueError("points [N, 3], features, masks and distances are not of one number N")
+        rule = tuple(FUSION_RULES).index(self.settings.rule)
+        insert = insert_points if rule < COMPILED_RULES else insert_points.plain  # type: ignore[attr-defined]
+        cloud = rule, points, features, has_feature, distance, n, self.channels
+        frame = self.low, self.middle, self.settings.height_reach, self._scale, self.changes
+        spread_blocks(self.settings.threads, PARTS, insert, *cloud, *frame, *for_library(self.voxels))
 
 
 def _aligned(shape: tuple[int, ...], dtype: type) -> np.ndarray:

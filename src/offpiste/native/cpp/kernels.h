@@ -90,6 +90,8 @@ OFFPISTE_ENTRY(add_by_cell)(
 #include "perception/filters.h"
 #include "perception/occlusion.h"
 #include "perception/scans.h"
+#include "mapping/voxels.h"
+#include "mapping/free_space.h"
 #include "simulation/grids.h"
 #include "simulation/vectors.h"
 #include "simulation/parameters.h"
