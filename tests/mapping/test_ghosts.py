@@ -1,11 +1,14 @@
 """Detection of returns below the ground, but not of ditches, holes, drops and ground under branches."""
 
+import inspect
+
 import numpy as np
 import pytest
 
 from mapping.ghost_reference import found_ghosts
 from mapping.height_field import spinning_scan, with_detours
 from offpiste.core.errors import MapError
+from offpiste.mapping import ghosts
 from offpiste.mapping.ghosts import GhostFinder, GhostSettings
 from offpiste.mapping.pipeline import FeatureCloud, MapPipeline, MapSettings
 from offpiste.mapping.voxel_map import VoxelSettings
@@ -57,7 +60,7 @@ def test_reflected_returns_are_found():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_loops_agree_with_plain_numpy(seed):
+def test_library_and_plain_function_agree_with_a_reference(seed, monkeypatch):
     rng = np.random.default_rng(seed)
     n = 3000
     sensor = rng.uniform(-1e4, 1e4, 3)
@@ -68,12 +71,18 @@ def test_loops_agree_with_plain_numpy(seed):
     settings = GhostSettings(
         depth=float(rng.uniform(0.2, 1)), sectors=int(rng.integers(8, 80)), rings=int(rng.integers(8, 60)), window=2
     )
-    found = GhostFinder(settings, threads=1 + seed % 2).find(points, sensor)
-    assert 0 < found.sum() < n / 5
-    np.testing.assert_array_equal(found, found_ghosts(points, sensor, settings))
-    finder = GhostFinder(settings)
-    for part in (points[:10], points, points[:0], points[::2]):  # one finder takes scans of any size
-        np.testing.assert_array_equal(finder.find(part, sensor), GhostFinder(settings).find(part, sensor))
+    wanted = found_ghosts(points, sensor, settings)
+    assert 0 < wanted.sum() < n / 5
+    for place in (ghosts.place_returns, ghosts.place_returns.plain):
+        monkeypatch.setattr(ghosts, "place_returns", place)
+        np.testing.assert_array_equal(GhostFinder(settings).find(points, sensor), wanted)
+        assert len(GhostFinder(settings).find(points[:0], sensor)) == 0
+
+
+def test_arrays_of_other_shapes_are_refused():
+    for points, sensor in ((np.zeros((3, 2)), SENSOR), (np.zeros((3, 3)), SENSOR[:2])):
+        with pytest.raises(ValueError, match="of shape"):
+            inspect.unwrap(GhostFinder.find)(GhostFinder(), points, sensor)
 
 
 def test_pits_leave_the_map():

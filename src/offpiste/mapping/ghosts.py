@@ -9,19 +9,18 @@ rim; the ray of a ghost passes below ground that other rays of the same scan hit
 branches or through bushes is passed by such rays as well, but unlike a ghost it lies no lower than other ground nearby.
 
 The ground around the sensor is divided into sectors, and these into rings that widen with distance, like the rings of
-a spinning LiDAR on level ground. The cell after the last one collects invalid points. A NumPy reference is in
-tests/mapping.
+a spinning LiDAR on level ground. The cell after the last one collects invalid points.
 """
 
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import minimum_filter
 
 from offpiste.core.errors import MapError
-from offpiste.native.compilation import MAPPING
-from offpiste.native.threads import spread_blocks
+from offpiste.native.library import compiled
 
 HALF_OF_RINGS: Final = 20.0
 """Distance within which half of the rings lie [m]: rings are 0.3 m wide at the sensor, 1.3 m there and 5 m at 60 m."""
@@ -46,15 +45,10 @@ class GhostSettings:
 
 
 class GhostFinder:
-    """Detector of ghosts in consecutive scans, with reused buffers; the result does not depend on `threads`."""
+    """Detector of ghosts in scans."""
 
-    def __init__(self, settings: GhostSettings | None = None, threads: int = 1) -> None:
+    def __init__(self, settings: GhostSettings | None = None) -> None:
         self.settings = settings or GhostSettings()
-        self._threads = threads
-        cells = self.settings.sectors * self.settings.rings + 1
-        self._low, self._horizon = np.zeros(cells, np.float32), np.zeros(cells, np.float32)
-        self._lowest = np.zeros(cells, np.int32)
-        self._size_buffers(0)
 
     def find(
         self, points_world: Float[np.ndarray, "N 3"], sensor_world: Float[np.ndarray, " 3"]
@@ -66,95 +60,68 @@ class GhostFinder:
             sensor_world: one sensor position for all points, as its motion during a scan hardly changes ray slopes [m].
         """
         settings, n = self.settings, len(points_world)
-        if n > len(self._cell):
-            self._size_buffers(n + n // 4)
-        cell, height, distance = self._cell[:n], self._height[:n], self._distance[:n]
-        depth, rings, ghosts = np.float32(settings.depth), settings.rings, np.zeros(n, np.bool_)
+        grid, cells, depth = (settings.sectors, settings.rings), settings.sectors * settings.rings, settings.depth
         points, sensor = np.ascontiguousarray(points_world, np.float64), np.ascontiguousarray(sensor_world, np.float64)
-        grid = settings.sectors, rings, np.float32(HALF_OF_RINGS)
-        spread_blocks(self._threads, n, place_returns, points, sensor, *grid, cell, height, distance)
-        self._low.fill(np.inf)
-        find_lowest(cell, height, ghosts, self._low, self._lowest)
-        find_horizons(self._low, self._lowest, distance, depth, rings, self._horizon)
-        if mark_pierced(cell, height, distance, self._horizon, self._low, ghosts):
-            find_lowest(cell, height, ghosts, self._low, self._lowest)
-            unmark_supported(cell, height, self._low, depth, rings, settings.window, ghosts)
+        if points.shape != (n, 3) or sensor.shape != (3,):
+            raise ValueError(f"points of shape {points.shape} and a sensor of {sensor.shape}")
+        cell, height, distance = np.empty(n, np.int32), np.empty(n, np.float32), np.empty(n, np.float32)
+        low, away = np.full(cells + 1, np.inf, np.float32), np.ones(cells + 1, np.float32)
+        place_returns(points, n, sensor, *grid, HALF_OF_RINGS, cell, height, distance, low, away)
+        horizon = np.append(_horizons(low[:-1].reshape(grid), away[:-1].reshape(grid), depth), np.float32(-np.inf))
+        with np.errstate(invalid="ignore"):
+            ghosts = np.asarray(height < np.take(horizon, cell) * distance)
+        found = np.flatnonzero(ghosts)
+        if len(found):
+            low[cell[found]], low[-1] = np.inf, 0
+            others = np.flatnonzero((np.take(low, cell) == np.inf) & ~ghosts)
+            np.minimum.at(low, cell[others], height[others])
+            window = 2 * settings.window + 1
+            ground = minimum_filter(low[:-1].reshape(grid), window, mode=("wrap", "nearest")).ravel()
+            ghosts[found] = ground[cell[found]] > height[found] + np.float32(depth)
         return ghosts
 
-    def _size_buffers(self, points: int) -> None:
-        self._cell = np.zeros(points, np.int32)
-        self._height, self._distance = np.zeros(points, np.float32), np.zeros(points, np.float32)
+
+def _horizons(
+    low: Float[np.ndarray, "sectors rings"], away: Float[np.ndarray, "sectors rings"], depth: float
+) -> Float[np.ndarray, "sectors rings"]:
+    """Return the lowest possible slope [m/m] of rays to each cell: `depth` below the ground of two nearer cells."""
+    slope, nearer = (low - np.float32(depth)) / away, np.full((2, *low.shape), -np.inf, np.float32)
+    slope[np.isinf(low)] = -np.inf
+    highest, second = nearer
+    np.maximum.accumulate(slope[:, :-1], axis=1, out=highest[:, 1:])
+    np.maximum.accumulate(np.minimum(highest, slope)[:, :-1], axis=1, out=second[:, 1:])
+    return second
 
 
-@MAPPING.entry
-def place_returns(first, last, points, sensor, sectors, rings, half, cell, height, distance):  # type: ignore[no-untyped-def]
-    """Write cell, height over the sensor [m] and horizontal distance [m] of points `first` to `last`.
+@compiled("f8", int, "f8", int, int, float, "i4", "f4", "f4", "f4", "f4")
+def place_returns(
+    points: Float[np.ndarray, "N 3"],
+    count: int,
+    sensor: Float[np.ndarray, " 3"],
+    sectors: int,
+    rings: int,
+    half: float,
+    cell: Int[np.ndarray, " N"],
+    height: Float[np.ndarray, " N"],
+    distance: Float[np.ndarray, " N"],
+    low: Float[np.ndarray, " C"],
+    away: Float[np.ndarray, " C"],
+) -> None:
+    """Write cell, height over the sensor [m] and horizontal distance [m] of each point, and lower those of each cell.
 
     Sectors are uniform in y / (|x| + |y|), which avoids the arctangent: 0.7 to 1.4 times their mean angle. Half of the
-    rings lie within the distance `half` [m].
+    rings lie within the distance `half` [m]. Of equally low points the first counts.
     """
-    per_sector, count = np.float32(sectors / 4), np.float32(rings)
-    # Without branches, so that the compiler vectorises the loop.
-    for i in range(first, last):
-        x, y = np.float32(points[i, 0] - sensor[0]), np.float32(points[i, 1] - sensor[1])
-        z, away = np.float32(points[i, 2] - sensor[2]), abs(x) + abs(y)
-        r = np.sqrt(x * x + y * y)
-        good = (away > np.float32(0.01)) & (r < np.float32(1e4)) & (abs(z) < np.float32(1e4))
-        share = y / away
-        around = np.float32(1) + share if x >= 0 else np.float32(3) - share
-        sector = np.int32((around if good else np.float32(0)) * per_sector)
-        ring = np.int32(count * ((r if good else np.float32(0)) / (r + half if good else half)))
-        sector, ring = min(sector, np.int32(sectors - 1)), min(ring, np.int32(rings - 1))
-        cell[i] = sector * np.int32(rings) + ring if good else np.int32(sectors * rings)
-        height[i] = z
-        distance[i] = r
-
-
-@MAPPING.entry
-def find_lowest(cell, height, left_out, low, lowest):  # type: ignore[no-untyped-def]
-    """Update the lowest height of each cell and the index of its point, except for points marked in `left_out`."""
-    for i in range(len(cell)):
-        c = cell[i]
-        if height[i] < low[c] and not left_out[i]:
-            low[c], lowest[c] = height[i], i
-
-
-@MAPPING.entry
-def find_horizons(low, lowest, distance, depth, rings, horizon):  # type: ignore[no-untyped-def]
-    """Write the lowest possible slope [m/m] of rays to a cell: `depth` below the ground of two nearer cells."""
-    for first in range(0, len(low) - 1, rings):
-        highest = second = np.float32(-np.inf)
-        for c in range(first, first + rings):
-            horizon[c] = second
-            if low[c] < np.inf:
-                slope = (low[c] - depth) / distance[lowest[c]]
-                second = max(second, min(highest, slope))
-                highest = max(highest, slope)
-    horizon[len(low) - 1] = np.float32(-np.inf)
-
-
-@MAPPING.entry
-def mark_pierced(cell, height, distance, horizon, low, pierced):  # type: ignore[no-untyped-def]
-    """Mark points whose rays pass below the ground and clear the ground of their cells; return their number."""
-    count = 0
-    for i in range(len(cell)):
-        if height[i] < horizon[cell[i]] * distance[i]:
-            pierced[i], low[cell[i]] = True, np.float32(np.inf)
-            count += 1
-    return count
-
-
-@MAPPING.entry
-def unmark_supported(cell, height, low, depth, rings, window, pierced):  # type: ignore[no-untyped-def]
-    """Unmark points with ground at most `depth` above them in a cell up to `window` sectors and rings away."""
-    cells = len(low) - 1
-    for i in range(len(cell)):
-        if not pierced[i]:
-            continue
-        ring = cell[i] % rings
-        nearest, furthest = max(ring - window, 0), min(ring + window, rings - 1)
-        for beside in range(-window, window + 1):
-            start = (cell[i] - ring + beside * rings) % cells
-            for c in range(start + nearest, start + furthest + 1):
-                if low[c] <= height[i] + depth:
-                    pierced[i] = False
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        x, y, z = (points - sensor).astype(np.float32).T
+        total, r = np.abs(x) + np.abs(y), np.sqrt(x * x + y * y)
+        good = (total > np.float32(0.01)) & (r < np.float32(1e4)) & (np.abs(z) < np.float32(1e4))
+        around = np.where(x >= 0, 1 + y / total, 3 - y / total) * np.float32(sectors / 4)
+        out = np.float32(rings) * (r / (r + np.float32(half)))
+    sector, ring = (np.where(good, each, 0).astype(int) for each in (around, out))
+    cell[:] = np.where(good, np.minimum(sector, sectors - 1) * rings + np.minimum(ring, rings - 1), sectors * rings)
+    height[:], distance[:] = z, r
+    lower = np.flatnonzero(z < low[cell])[::-1]
+    np.minimum.at(low, cell[lower], z[lower])
+    lower = lower[z[lower] == low[cell[lower]]]
+    away[cell[lower]] = r[lower]

@@ -92,6 +92,7 @@ OFFPISTE_ENTRY(add_by_cell)(
 #include "perception/scans.h"
 #include "mapping/voxels.h"
 #include "mapping/free_space.h"
+#include "mapping/ghosts.h"
 #include "simulation/grids.h"
 #include "simulation/vectors.h"
 #include "simulation/parameters.h"
