@@ -26,25 +26,11 @@ def _places(n=200, seed=0, beyond=0.0):
 
 @pytest.mark.parametrize(("a", "b"), [(1.0, 0.0), (0.0, 1.0), (0.3, -0.7)])
 def test_a_plane_is_read_exactly(a, b):
-    elevation = _plane(a, b, 2.0)
+    elevation, places = _plane(a, b, 2.0), _places()
     expected = np.array([-a, -b, 1.0]) / np.sqrt(a * a + b * b + 1)
-    for x, y in _places():
-        assert grids.height(elevation, X0, Y0, STEP, x, y) == pytest.approx(a * x + b * y + 2.0, abs=1e-12)
+    heights = grids.read_grid(elevation, (X0, Y0), STEP, places)
+    np.testing.assert_allclose(heights, a * places[:, 0] + b * places[:, 1] + 2.0, atol=1e-12)
     np.testing.assert_allclose(grids.normals_of(elevation, STEP), np.broadcast_to(expected, (NY, NX, 3)), atol=1e-12)
-
-
-def test_the_compiled_reading_is_the_plain_one_also_beyond_the_border():
-    rng = np.random.default_rng(1)
-    elevation = rng.normal(size=(NY, NX)).astype(np.float32)
-    properties = rng.normal(size=(NY, NX, 4)).astype(np.float32)
-    places = _places(beyond=5.0)
-    heights = [grids.height(elevation, X0, Y0, STEP, x, y) for x, y in places]
-    np.testing.assert_allclose(heights, grids.read_grid(elevation, (X0, Y0), STEP, places), rtol=1e-6, atol=1e-6)
-    out = np.empty(4)
-    plain = grids.read_grid(properties, (X0, Y0), STEP, places)
-    for (x, y), expected in zip(places, plain, strict=True):
-        grids.properties_at(properties, X0, Y0, STEP, x, y, out)
-        np.testing.assert_allclose(out, expected, rtol=1e-6, atol=1e-6)
 
 
 def test_the_library_reads_the_ground_as_many_places_are_read():
@@ -59,11 +45,12 @@ def test_the_library_reads_the_ground_as_many_places_are_read():
         np.testing.assert_allclose(result, grids.read_grid(grid, (X0, Y0), STEP, clamped), rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("x", [-np.inf, np.inf, np.nan, 1e300])
-def test_no_place_crashes(x):
-    elevation = _plane(1.0, 2.0)
-    assert np.isfinite(grids.height(elevation, X0, Y0, STEP, x, x))
-    assert grids.main_kind(np.ones((2, NY, NX)), X0, Y0, STEP, x, x) == 0
+def test_the_main_kind_is_that_of_the_nearest_node():
+    kinds = np.zeros((3, NY, NX))
+    kinds[1, :, 4:], kinds[2, 5:, 4:] = 0.6, 0.6  # where tied, the first
+    kinds[2, 7:] = 0.7
+    places = np.array([[3.4, 0.0], [3.6, 6.4], [3.6, 6.6], [1e300, np.inf], [np.nan, np.nan]]) * STEP + [X0, Y0]
+    assert grids.main_kinds(kinds, (X0, Y0), STEP, places).tolist() == [0, 1, 2, 2, 0]
 
 
 def test_noise_has_mean_0_and_variance_1_and_does_not_depend_on_the_resolution():
@@ -91,6 +78,17 @@ def test_distances_of_a_grid_are_those_of_its_nodes(network):
     away = np.minimum(cKDTree(lines).query(places)[0], terrain.NEAR)
     np.testing.assert_array_equal(grid.ravel(), away.astype(np.float32))
     assert 0 < (grid < terrain.NEAR).mean() < 1
+
+
+def test_ground_slumps_until_no_step_is_too_high():
+    before = np.random.default_rng(0).normal(size=(20, 31)).astype(np.float32)
+    after = before.copy()
+    terrain._slump(after, *after.shape, 0.25)
+    assert (after <= before).all()
+    assert after.min() == before.min()
+    for axis in (0, 1):
+        assert 0.2 < np.abs(np.diff(after, axis=axis)).max() < 0.25 + 1e-4
+    assert np.abs(after[1:, 1:] - after[:-1, :-1]).max() < 0.25 * np.sqrt(2) + 1e-4
 
 
 def test_trails_stay_inside_and_can_be_driven(network):

@@ -94,6 +94,7 @@ OFFPISTE_ENTRY(add_by_cell)(
 #include "mapping/free_space.h"
 #include "mapping/ghosts.h"
 #include "simulation/grids.h"
+#include "simulation/terrain.h"
 #include "simulation/vectors.h"
 #include "simulation/parameters.h"
 #include "simulation/tyre.h"

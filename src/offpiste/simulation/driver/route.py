@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.native.compilation import PHYSICS
-from offpiste.simulation.world.grids import Grid, Line, height, read_grid
+from offpiste.simulation.world.grids import Grid, Line, read_grid
 from offpiste.simulation.world.terrain import SPACING
 from offpiste.simulation.world.world import World
 
@@ -55,7 +54,7 @@ class VisibleTerrain:
         heading = span / length
         places = line[0] + np.arange(0, length + 1, 1.0)[:, None] * heading
         left = np.array((-heading[1], heading[0])) * _HALF_TRACK
-        sides = [self._heights(places + side) for side in (left, -left)]
+        sides = [self.heights(places + side) for side in (left, -left)]
         lean = np.abs(sides[0] - sides[1]) / (2 * _HALF_TRACK)
         heights = (sides[0] + sides[1]) / 2
         slope = (heights[2:] - heights[:-2]) / 2
@@ -63,13 +62,14 @@ class VisibleTerrain:
 
     def first_climb(self, line: Float[np.ndarray, "n 2"], limit: float) -> int:
         """Return the index of the first point before a climb over `limit` (rise over run) within 2 m; n if none."""
-        heights = self._heights(line)
+        heights = self.heights(line)
         apart = max(1, round(2 / max(float(np.hypot(*(line[1] - line[0]))), 1e-3))) if len(line) > 1 else 1
         steep = np.flatnonzero(heights[apart:] - heights[:-apart] > 2 * limit)
         return int(steep[0]) if len(steep) else len(line)
 
-    def _heights(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        return read_grid(self.elevation, self.origin, self.resolution, places)
+    def heights(self, places: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+        """Return the elevation at places x, y, bilinear [m]."""
+        return read_grid(self.elevation, self.origin, self.resolution, places.reshape(-1, 2)).reshape(places.shape[:-1])
 
 
 @dataclass(frozen=True)
@@ -101,54 +101,38 @@ def hazards_along_arcs(
         size: wheelbase, track and distance from the vehicle's centre to its nose [m].
         margin: distance to keep from the border [m].
     """
-    out = np.empty((9, len(curvatures)))
-    near = np.hypot(terrain.trees[:, 0] - pose[0], terrain.trees[:, 1] - pose[1]) < length + 5
-    grid = (terrain.elevation, *terrain.origin, terrain.resolution)
-    _scan_arcs(*grid, terrain.trees[near], curvatures, *pose, length, *size, margin, out)
-    return ArcHazards(out[:2].T, *out[2:])
-
-
-@PHYSICS.entry
-def _scan_arcs(  # type: ignore[no-untyped-def]
-    elevation, x0, y0, resolution, trees, curvatures, x, y, yaw, length, wheelbase, track, nose, margin, out
-):
-    high_x = x0 + (elevation.shape[1] - 1) * resolution - margin
-    high_y = y0 + (elevation.shape[0] - 1) * resolution - margin
+    wheelbase, track, nose = size
+    x, y, yaw = pose
     count = max(int(length / ARC_STEP), 4)
     step = length / count
-    for a in range(len(curvatures)):
-        climb, descent, lean, protrusion, curvature, clearance, overlap = 0.0, 0.0, 0.0, 0.0, 0.0, FAR, 0.0
-        px, py, heading, slope_before = x, y, yaw, 0.0
-        for number in range(count):
-            # Step along the mean heading, which is exact but for the length of the chord.
-            heading += 0.5 * curvatures[a] * step
-            c, s = np.cos(heading), np.sin(heading)
-            px, py = px + step * c, py + step * s
-            heading += 0.5 * curvatures[a] * step
-            forward_x, forward_y = 0.5 * wheelbase * c, 0.5 * wheelbase * s
-            left_x, left_y = -0.5 * track * s, 0.5 * track * c
-            fl = height(elevation, x0, y0, resolution, px + forward_x + left_x, py + forward_y + left_y)
-            fr = height(elevation, x0, y0, resolution, px + forward_x - left_x, py + forward_y - left_y)
-            rl = height(elevation, x0, y0, resolution, px - forward_x + left_x, py - forward_y + left_y)
-            rr = height(elevation, x0, y0, resolution, px - forward_x - left_x, py - forward_y - left_y)
-            below = height(elevation, x0, y0, resolution, px, py)
-            ahead = height(elevation, x0, y0, resolution, px + nose * c, py + nose * s)
-            mean = 0.25 * (fl + fr + rl + rr)
-            slope = (fl + fr - rl - rr) / (2.0 * wheelbase)
-            climb, descent = max(climb, slope), max(descent, -slope)
-            # A wheel in a hole tips a vehicle as much as a slope.
-            lean = max(lean, max(abs(fl - fr), abs(rl - rr)) / track)
-            protrusion = max(protrusion, max(below - mean, ahead - mean - nose * slope))
-            if number > 0:
-                curvature = max(curvature, abs(slope - slope_before) / step)
-            slope_before = slope
-            overlap = max(overlap, max(max(x0 + margin - px, px - high_x), max(y0 + margin - py, py - high_y)))
-            for t in range(len(trees)):
-                gap = np.sqrt((trees[t, 0] - px) ** 2 + (trees[t, 1] - py) ** 2) - trees[t, 2]
-                clearance = min(clearance, gap)
-        out[0, a], out[1, a] = px, py
-        out[2, a], out[3, a], out[4, a], out[5, a] = climb, descent, lean, protrusion
-        out[6, a], out[7, a], out[8, a] = curvature, clearance, overlap
+    # Steps along the mean heading, which is exact but for the length of the chord.
+    heading = yaw + curvatures[:, None] * (step * (np.arange(count) + 0.5))
+    forward = np.stack((np.cos(heading), np.sin(heading)), axis=-1)
+    left = np.stack((-forward[..., 1], forward[..., 0]), axis=-1) * (0.5 * track)
+    places = np.array((x, y)) + step * np.cumsum(forward, axis=1)
+    front, rear = places + 0.5 * wheelbase * forward, places - 0.5 * wheelbase * forward
+    fl, fr, rl, rr, below, ahead = terrain.heights(
+        np.stack((front + left, front - left, rear + left, rear - left, places, places + nose * forward))
+    )
+    mean = 0.25 * (fl + fr + rl + rr)
+    slope = (fl + fr - rl - rr) / (2.0 * wheelbase)
+    # A wheel in a hole tips a vehicle as much as a slope.
+    lean = np.maximum(np.abs(fl - fr), np.abs(rl - rr)) / track
+    protrusion = np.maximum(below - mean, ahead - mean - nose * slope)
+    trees = terrain.trees[np.hypot(terrain.trees[:, 0] - x, terrain.trees[:, 1] - y) < length + 5]
+    gap = np.hypot(places[..., :1] - trees[:, 0], places[..., 1:] - trees[:, 1]) - trees[:, 2]
+    low = np.array(terrain.origin)
+    high = low + (np.array(terrain.elevation.shape[::-1]) - 1) * terrain.resolution
+    return ArcHazards(
+        end=places[:, -1],
+        climb=slope.max(axis=1, initial=0.0),
+        descent=-slope.min(axis=1, initial=0.0),
+        lean=lean.max(axis=1),
+        protrusion=protrusion.max(axis=1, initial=0.0),
+        vertical_curvature=np.abs(np.diff(slope)).max(axis=1) / step,
+        clearance=gap.min(axis=(1, 2), initial=FAR),
+        border_overlap=np.maximum(low + margin - places, places - (high - margin)).max(axis=(1, 2), initial=0.0),
+    )
 
 
 class Route:
@@ -200,7 +184,13 @@ class Route:
         """Return the highest speed for the bends ahead [m/s] with given lateral acceleration and braking [m/s^2]."""
         while len(self._points) - self._next <= _WINDOW:
             self._extend()
-        return float(_bend_speed(self._points[self._next : self._next + _WINDOW + 1 : _STRIDE], lateral, braking))
+        steps = np.diff(self._points[self._next : self._next + _WINDOW + 1 : _STRIDE], axis=0)
+        length = np.hypot(steps[:, 0], steps[:, 1])
+        (ax, ay), (bx, by) = steps[:-1].T, steps[1:].T
+        turn = np.abs(np.arctan2(ax * by - ay * bx, ax * bx + ay * by))
+        # v^2 = lateral / curvature in the bend, plus braking before it
+        squares = lateral * np.maximum(length[1:], 1e-3) / (turn + 1e-3) + 2.0 * braking * np.cumsum(length[:-1])
+        return float(np.sqrt(squares.min()))
 
     def _extend(self) -> None:
         self._points, self._next = self._points[self._next :], 0
@@ -261,17 +251,3 @@ class Route:
 
 def _distance(points: Float[np.ndarray, "n 2"], xy: Float[np.ndarray, " 2"]) -> Float[np.ndarray, " n"]:
     return np.asarray(np.hypot(points[:, 0] - xy[0], points[:, 1] - xy[1]))
-
-
-@PHYSICS.entry
-def _bend_speed(points, lateral, braking):  # type: ignore[no-untyped-def]
-    lowest, distance = np.inf, 0.0
-    for i in range(1, len(points) - 1):
-        ax, ay = points[i, 0] - points[i - 1, 0], points[i, 1] - points[i - 1, 1]
-        bx, by = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
-        length, after = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by)
-        turn = abs(np.arctan2(ax * by - ay * bx, ax * bx + ay * by))
-        distance += length
-        # v^2 = lateral / curvature in the bend, plus braking before it
-        lowest = min(lowest, lateral * max(after, 1e-3) / (turn + 1e-3) + 2.0 * braking * distance)
-    return np.sqrt(lowest)

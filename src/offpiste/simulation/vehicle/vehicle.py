@@ -19,7 +19,7 @@ from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.simulation.sample import VehicleSample, WheelTruth
 from offpiste.simulation.vehicle.parameters import VehicleParameters
 from offpiste.simulation.vehicle.physics import STATE, substeps
-from offpiste.simulation.world.grids import main_kind, read_grid
+from offpiste.simulation.world.grids import main_kinds, read_grid
 from offpiste.simulation.world.world import World
 
 with extra("sim"):
@@ -222,9 +222,9 @@ class VehicleSimulation:
 
     def _wheel_truth(self) -> WheelTruth:
         wheels, world = self._state["wheels"].copy(), self._world
-        kinds = [main_kind(world.kinds, *world.origin, world.resolution, x, y) for x, y, _ in wheels["contact"]]
+        kinds = main_kinds(world.kinds, world.origin, world.resolution, wheels["contact"][:, :2])
         slips = (wheels[name] for name in ("load", "slip_ratio", "slip_angle"))
-        return WheelTruth(wheels["contact"], wheels["properties"], np.array(kinds), *slips)
+        return WheelTruth(wheels["contact"], wheels["properties"], kinds, *slips)
 
 
 def _grids(world: World) -> tuple[Any, ...]:

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from offpiste.native.compilation import PHYSICS
+from offpiste.native.library import entry
 from offpiste.simulation.world.grids import Axis, Grid, Line, smooth_noise, smooth_step
 from offpiste.simulation.world.world import WorldPreset
 
@@ -56,24 +56,13 @@ def trail_distance_grid(trails: tuple[Line, ...], x: Axis, y: Axis) -> Grid:
         x, y: evenly spaced coordinates of the columns and rows [m].
     """
     square = np.full((len(y), len(x)), NEAR * NEAR)
-    _nearest_squares(np.concatenate([resample(loop, 0.1) for loop in trails]), x, y, NEAR, square)
+    points = np.concatenate([resample(loop, 0.1) for loop in trails])
+    ends = [np.searchsorted(axis, points[:, k] + reach) for k, axis in enumerate((x, y)) for reach in (-NEAR, NEAR)]
+    _lower_to_nearest(points, np.stack(ends, axis=1), len(points), x, y, len(x), square)
     return np.sqrt(square).astype(np.float32)
 
 
-@PHYSICS.entry
-def _nearest_squares(points, x, y, reach, square):  # type: ignore[no-untyped-def]
-    """Update the squared distance of each node to the nearest point within reach, in place."""
-    step_x, step_y = x[1] - x[0], y[1] - y[0]
-    for p in range(len(points)):
-        first = max(int((points[p, 0] - reach - x[0]) / step_x), 0)
-        last = min(int((points[p, 0] + reach - x[0]) / step_x) + 2, len(x))
-        low = max(int((points[p, 1] - reach - y[0]) / step_y), 0)
-        high = min(int((points[p, 1] + reach - y[0]) / step_y) + 2, len(y))
-        for j in range(low, high):
-            across = y[j] - points[p, 1]
-            for i in range(first, last):
-                along = x[i] - points[p, 0]
-                square[j, i] = min(square[j, i], along * along + across * across)
+_lower_to_nearest = entry("lower_to_nearest", "f8", "i8", int, "f8", "f8", int, "f8")
 
 
 def resample(loop: Float[np.ndarray, "n 2"], spacing: float) -> Float[np.ndarray, "m 2"]:
@@ -147,7 +136,7 @@ def carve_trails(
 
     ditched = smooth_step(smooth_noise(rng, x, y, 12.0), 0.2, 0.8)
     carved += np.float32(preset.ditch) * ditched * (_bump(trail_distance, 5.6, 0.8) - _bump(trail_distance, 3.9, 0.7))
-    _slump(carved, np.float32(np.tan(STEEPEST) * step))
+    _slump(carved, *carved.shape, float(np.tan(STEEPEST) * step))
     rutted = smooth_step(smooth_noise(rng, x, y, 9.0), -0.6, 1.2)
     carved -= np.float32(preset.rut) * rutted * _bump(trail_distance, RUT_OFFSET, 0.22)
     smoother = 1 - 0.7 * on_trail
@@ -173,33 +162,6 @@ def _banks(rng: np.random.Generator, x: Axis, y: Axis, height: float) -> Grid:
     return np.float32(height) * present * (smooth_step(from_line, -half, half) - np.float32(0.5))
 
 
-@PHYSICS.entry
-def _slump(elevation, rise):  # type: ignore[no-untyped-def]
-    """Lower nodes in place until none is more than `rise` above a neighbour (chamfer sweeps)."""
-    ny, nx = elevation.shape
-    diagonal = rise * np.float32(np.sqrt(2.0))
-    changed = True
-    while changed:
-        changed = False
-        for sweep in range(2):
-            for row in range(ny):
-                for column in range(nx):
-                    j, i = (row, column) if sweep == 0 else (ny - 1 - row, nx - 1 - column)
-                    side = -1 if sweep == 0 else 1
-                    lowest = elevation[j, i]
-                    if 0 <= i + side < nx:
-                        lowest = min(lowest, elevation[j, i + side] + rise)
-                    if 0 <= j + side < ny:
-                        lowest = min(lowest, elevation[j + side, i] + rise)
-                        if i > 0:
-                            lowest = min(lowest, elevation[j + side, i - 1] + diagonal)
-                        if i + 1 < nx:
-                            lowest = min(lowest, elevation[j + side, i + 1] + diagonal)
-                    if lowest < elevation[j, i] - np.float32(1e-5):
-                        elevation[j, i] = lowest
-                        changed = True
-
-
 def _trail_bed(smoothed: Grid, trails: tuple[Line, ...], x0: float, y0: float, step: float) -> Grid:
     """Return the Gaussian-weighted mean elevation of the centre lines around each place.
 
@@ -217,3 +179,6 @@ def _trail_bed(smoothed: Grid, trails: tuple[Line, ...], x0: float, y0: float, s
 
 def _bump(distance: Grid, at: float, width: float) -> Grid:
     return np.exp(np.float32(-0.5) * ((distance - np.float32(at)) / np.float32(width)) ** 2)
+
+
+_slump = entry("slump", "f4", int, int, float)
