@@ -19,6 +19,7 @@ FLAGS = [
     "-fno-trapping-math",
     "-Wno-psabi",
     "-Wno-maybe-uninitialized",
+    "-Wno-uninitialized",
 ]
 SETS = ("avx512", "avx2", "baseline") if platform.machine() in ("x86_64", "AMD64") else ("baseline",)
 

@@ -126,13 +126,6 @@ def no_lines_of_progress(request: pytest.FixtureRequest, monkeypatch: pytest.Mon
         monkeypatch.setattr("offpiste.core.progress.EVERY", float("inf"))
 
 
-@pytest.fixture(scope="session")
-def bounds_checked() -> dict[str, str]:
-    """Environment of a process that compiles kernels with bounds checks, with a cache of its own."""
-    folder = Path(os.environ["NUMBA_CACHE_DIR"]) / "bounds-checked"
-    return os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_OPT": "0", "NUMBA_CACHE_DIR": str(folder)}
-
-
 REAL_TIME = ("live/test_live_faults.py", "live/test_play.py", "live/test_supervisor.py")
 """Tests with deadlines of 0.1 s, which must not run in parallel on two cores."""
 

@@ -1,181 +1,145 @@
-"""Loops over voxel columns: ground, obstacles and features.
+"""Ground of voxel columns: their lowest hits without branches, obstacles and features, in grids around the vehicle.
 
-Only changed columns are evaluated; their results are kept and wrap around like the voxels. Rows `first` to `last` count
-from the map's lowest cell. Loops work on a span of each row: all columns for the layers, the neighbourhood of the cells
-where only some are read. A NumPy reference is in tests/mapping.
+Only changed columns are evaluated; their results are kept and wrap around like the voxels. Rows and columns of grids
+count from the map's lowest cell. Work is limited to a span of each row: all columns for the layers, the neighbourhood
+of the cells where only some are read.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
+from numpy.lib.stride_tricks import sliding_window_view
 
-from offpiste.mapping.normals import put
 from offpiste.mapping.voxel_map import BASE, FEATURE_DISTANCE, FEATURED, FEATURES, LEVELS, LOWEST, OCCUPIED, X, Y, Z
-from offpiste.native.compilation import MAPPING
+from offpiste.native.library import compiled
 
 BLOCK: Final = 32
 """Number of columns that share a change number."""
 
-
-@MAPPING.inlined
-def over_ground(voxels, slot, up, hit, size):  # type: ignore[no-untyped-def]
-    """Return the height of the hit `up` levels above the lowest voxel over the lowest hit of the column."""
-    return (np.float32(up) + voxels.seen[slot, Z] - hit[Z]) * size
-
-
-@MAPPING.inlined
-def obstacle_above(voxels, occupied, slots, hit, size, reach):  # type: ignore[no-untyped-def]
-    """Return the height over the ground of the highest hit at most `reach` above it."""
-    levels = int(reach / size) + 1
-    for up in range(levels if levels < LEVELS else LEVELS - 1, 0, -1):
-        if (occupied >> up) & 1:
-            above = over_ground(voxels, slots[up], up, hit, size)
-            if above <= reach:
-                return above
-    return np.float32(0)
+HEIGHT, OBSTACLE, FEATURE_HEIGHT, BESIDE, RISE_X, RISE_Y, CENTRE, RESIDUAL, ROUGHNESS = range(2, 11)
+"""Grids after those of the hits' x and y from the cells' centres [cells]: height of the ground over a reference level,
+NaN without any, of the highest thing within reach over it, and of the features over the reference level, NaN without
+any that count [m]; lowest ground of the cells beside, along the row [m]; rise of the plane [m/m], ground at the cell's
+centre [m], squared residual of the hit [m^2] and roughness [m], NaN without a plane."""
 
 
-@MAPPING.inlined
-def keep_features(seen, kept):  # type: ignore[no-untyped-def]
-    """Store the features of a voxel and their sensor distance."""
-    kept[0] = seen[FEATURE_DISTANCE]
-    for k in range(1, len(kept)):
-        kept[k] = seen[FEATURES + k - 1]
+class Surface(NamedTuple):
+    """Ground of each column, kept between calls and indexed like the voxels.
 
-
-@MAPPING.inlined  # passing the arrays to a call takes as long as the work itself
-def see_column(row, across, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
-    """Store the ground, the obstacle and the features of a column."""
-    head, slots = voxels.heads[row, across], voxels.slots[row, across]
-    surface.feature_height[row, across] = np.float32(np.nan)
-    if head[OCCUPIED] == 0:
-        surface.z[row, across] = np.float32(np.nan)
-        return
-    hit, featured = voxels.seen[head[LOWEST]], head[FEATURED]
-    surface.level[row, across] = head[BASE]
-    surface.x[row, across], surface.y[row, across], surface.z[row, across] = hit[X], hit[Y], hit[Z]
-    surface.obstacle[row, across] = np.float32(0)
-    if head[OCCUPIED] != 1:
-        surface.obstacle[row, across] = obstacle_above(voxels, head[OCCUPIED], slots, hit, size, reach)
-    if featured & 1:
-        surface.feature_height[row, across] = np.float32(0)
-        keep_features(hit, surface.features[row, across])
-    elif featured != 0:
-        up = 1
-        while not (featured >> up) & 1:
-            up += 1
-        surface.feature_height[row, across] = over_ground(voxels, slots[up], up, hit, size)
-        keep_features(voxels.seen[slots[up]], surface.features[row, across])
-
-
-@MAPPING.entry
-def put_spans(rows, columns, margin, bare, spans):  # type: ignore[no-untyped-def]
-    """Write for each row the first and the last + 1 column within `margin` of some cells, 0 and 0 without any.
-
-    `bare` [n, 2] is a buffer for the spans without the margin.
+    Attributes:
+        level: level of the lowest voxel from the world's zero [n, n].
+        hits: x, y of its hit from its centre and z from its floor, NaN in an empty column [voxels]; height of the
+            highest thing within reach over it [m]; height of the lowest voxel with features over it, NaN without any
+            [m] [5, n, n].
+        features: sensor distance and features of that voxel [n, n, 1 + F].
+        since: number of the last evaluated map change by block of columns [n, n / BLOCK].
     """
-    n = len(spans)
-    bare[:, 0], bare[:, 1] = n, 0
-    for q in range(len(rows)):
-        bare[rows[q], 0] = min(bare[rows[q], 0], columns[q])
-        bare[rows[q], 1] = max(bare[rows[q], 1], columns[q] + 1)
-    for j in range(n):
-        begin, end = n, 0
-        for jj in range(max(j - margin, 0), min(j + margin + 1, n)):
-            begin, end = min(begin, bare[jj, 0]), max(end, bare[jj, 1])
-        spans[j, 0], spans[j, 1] = 0, 0
-        if begin < end:
-            spans[j, 0], spans[j, 1] = max(begin - margin, 0), min(end + margin, n)
+
+    level: np.ndarray
+    hits: np.ndarray
+    features: np.ndarray
+    since: np.ndarray
 
 
-@MAPPING.inlined
-def see_block(row, number, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
-    """Update the columns of a block that changed since the last update."""
-    start, since = number * BLOCK, surface.since[row, number]
-    changed, newest = voxels.changed[row, start : start + BLOCK], since
-    for i in range(len(changed)):
-        newest = max(newest, changed[i])
-    if newest > since:
-        for i in range(len(changed)):
-            if changed[i] > since:
-                see_column(row, start + i, size, reach, voxels, surface)
-        surface.since[row, number] = newest
+def make_surface(cells: int, channels: int) -> Surface:
+    """Return the surface of an empty map of [cells, cells]."""
+    hits, features = np.full((5, cells, cells), np.nan, np.float32), np.full((cells, cells, 1 + channels), np.nan)
+    since = np.zeros((cells, -(-cells // BLOCK)), np.int32)
+    return Surface(np.zeros((cells, cells), np.int32), hits, features.astype(np.float32), since)
 
 
-@MAPPING.entry
-def see_columns(first, last, low, spans, size, reach, voxels, surface):  # type: ignore[no-untyped-def]
-    """Update ground, obstacles and features of the columns in the spans of rows `first` to `last`."""
-    n = voxels.changed.shape[0]
+def make_grids(cells: int, border: int) -> Float[np.ndarray, "11 rows columns"]:
+    """Return grids of [cells, cells], with `border` unknown cells around them, whose rows end with whole vectors."""
+    shape = (ROUGHNESS + 1, cells + 2 * border, -(-cells // 16) * 16 + 2 * border)
+    return np.full(shape, np.nan, np.float32)
+
+
+def find_spans(
+    rows: Int[np.ndarray, " K"], columns: Int[np.ndarray, " K"], margin: int, cells: int
+) -> Int[np.ndarray, "n 2"]:
+    """Return for each row the first and the last + 1 column within `margin` of some cells, 0 and 0 without any."""
+    begin, end = np.full(cells + 2 * margin, cells), np.zeros(cells + 2 * margin, int)
+    np.minimum.at(begin, rows + margin, columns)
+    np.maximum.at(end, rows + margin, columns + 1)
+    begin = sliding_window_view(begin, 2 * margin + 1).min(axis=1)
+    end = sliding_window_view(end, 2 * margin + 1).max(axis=1)
+    spans = np.column_stack((np.maximum(begin - margin, 0), np.minimum(end + margin, cells)))
+    return np.where((begin < end)[:, None], spans, 0)
+
+
+@compiled(int, int, int, int, "i8", float, float, *4 * ("i4",), "f4", "f4", "i4", *3 * (int,), "f4")
+def see_columns(  # type: ignore[no-untyped-def]
+    first, last, start_x, start_y, spans, size, reach, heads, changed, slots, level, hits, features, since, cells,
+    channels, width, seen,
+):  # fmt: skip
+    """Update ground, obstacles and features of the columns in the spans of rows `first` to `last` - 1.
+
+    Args:
+        start_x, start_y: column and row of the map's lowest cell in the voxels.
+        spans: first and last + 1 column of each row [n, 2].
+        size, reach: size of a voxel, and height above the ground up to which things are obstacles [m].
+        heads, changed, slots, seen: `Voxels`; `seen` has `width` numbers a slot.
+        level, hits, features, since: `Surface`.
+        cells, channels: number of cells along a side, and of features.
+    """
+    fields, up = [FEATURE_DISTANCE, *range(FEATURES, FEATURES + channels)], np.arange(LEVELS)
     for j in range(first, last):
-        row, count = (low[1] + j) % n, spans[j, 1] - spans[j, 0]
-        if count > 0:
-            begin = (low[0] + spans[j, 0]) % n
-            for number in range(begin // BLOCK, (min(begin + count, n) - 1) // BLOCK + 1):
-                see_block(row, number, size, reach, voxels, surface)
-            if begin + count > n:
-                for number in range((begin + count - n - 1) // BLOCK + 1):
-                    see_block(row, number, size, reach, voxels, surface)
+        row, across = (start_y + j) % cells, (start_x + np.arange(*spans[j])) % cells
+        blocks = np.unique(across // BLOCK)
+        new = np.isin(np.arange(cells) // BLOCK, blocks) & (changed[row] > since[row].repeat(BLOCK)[:cells])
+        since[row, blocks] = np.maximum.reduceat(changed[row], np.arange(0, cells, BLOCK))[blocks]
+        x, y, z, obstacle, feature_height = hits[:, row]
+        z[new], feature_height[new] = np.nan, np.nan
+        some = np.flatnonzero(new & (heads[row, :, OCCUPIED] != 0))
+        head, slot = heads[row, some], slots[row, some, :LEVELS]
+        hit = seen[head[:, LOWEST]]
+        level[row, some], x[some], y[some], z[some] = head[:, BASE], hit[:, X], hit[:, Y], hit[:, Z]
+        above = (up.astype(np.float32) + seen[slot, Z] - hit[:, Z, None]) * size
+        occupied, featured = ((head[:, [mask]] >> up) & 1 > 0 for mask in (OCCUPIED, FEATURED))
+        obstacle[some] = np.where(occupied & (up > 0) & (above <= reach), above, 0).max(axis=1)
+        known, lowest = np.flatnonzero(featured.any(axis=1)), featured.argmax(axis=1)
+        feature_height[some[known]] = above[known, lowest[known]]
+        features[row, some[known]] = seen[slot[known, lowest[known]]][:, fields]
 
 
-@MAPPING.loop
-def put_lower(a, out):  # type: ignore[no-untyped-def]
-    """Write the minimum of a and out."""
-    for i in range(len(out)):
-        out[i] = a[i] if a[i] < out[i] else out[i]
+@compiled(int, int, int, int, "i8", int, float, int, "i4", "f4", "f4", int, int)
+def read_columns(  # type: ignore[no-untyped-def]
+    first, last, start_x, start_y, spans, reference, size, radius, level, hits, grids, cells, border
+):
+    """Copy spans of columns in the order of the grids and find the lowest ground within `radius` cells along rows.
 
-
-@MAPPING.loop
-def put_lowest_beside(height, radius, lowest):  # type: ignore[no-untyped-def]
-    """Write the lowest ground within `radius` cells along a row, infinite without any."""
-    n = len(height)
-    for i in range(n):
-        lowest[i] = height[i] if height[i] == height[i] else np.float32(np.inf)
-    for k in range(1, radius + 1):  # NaN is not less
-        put_lower(height[k:], lowest[: n - k])
-        put_lower(height[: n - k], lowest[k:])
-
-
-@MAPPING.loop
-def put_heights(level, z, reference, size, out):  # type: ignore[no-untyped-def]
-    """Write heights over the floor of the reference level."""
-    for i in range(len(out)):
-        out[i] = (np.float32(level[i] - reference) + z[i]) * size
-
-
-@MAPPING.entry
-def read_columns(first, last, low, spans, reference, size, radius, surface, buffers):  # type: ignore[no-untyped-def]
-    """Copy spans of columns in the order of the layers and find the lowest ground within `radius` cells along rows."""
-    n = buffers.height.shape[0]
-    start = low[0] % n
+    Args:
+        reference: level that heights are relative to.
+        level, hits: `Surface`; the other arguments are those of `see_columns`.
+        grids: `make_grids`, with `border` cells around them; feature heights are over the ground until
+            `drop_overhangs`.
+    """
     for j in range(first, last):
-        row, begin, end = (low[1] + j) % n, spans[j, 0], spans[j, 1]
-        middle = min(max(begin, n - start), end)
-        for to, shift in ((slice(begin, middle), start), (slice(middle, end), start - n)):
-            at = slice(to.start + shift, to.stop + shift)
-            put_heights(surface.level[row, at], surface.z[row, at], np.int32(reference), size, buffers.height[j, to])
-            put(surface.x[row, at], buffers.x[j, to])
-            put(surface.y[row, at], buffers.y[j, to])
-            put(surface.obstacle[row, at], buffers.obstacle[j, to])
-            put(surface.feature_height[row, at], buffers.feature_height[j, to])
-        put_lowest_beside(buffers.height[j, begin:end], radius, buffers.lowest[j, begin:end])
+        row, columns = (start_y + j) % cells, np.arange(*spans[j])
+        to, across = border + columns, (start_x + columns) % cells
+        grids[:5, border + j, to] = hits[:, row, across]
+        heights = (level[row, across] - reference).astype(np.float32) + hits[Z, row, across]
+        grids[HEIGHT, border + j, to] = heights * size
+        near = grids[HEIGHT, border + j, border - radius : border + cells + radius]
+        beside = np.fmin.reduce(sliding_window_view(near, 2 * radius + 1), axis=1, initial=np.inf)
+        grids[BESIDE, border + j, border : border + cells] = beside
 
 
-@MAPPING.entry
-def drop_overhangs(first, last, spans, radius, reach, feature_height, buffers):  # type: ignore[no-untyped-def]
+@compiled(int, int, "i8", int, float, float, "f4", int, int)
+def drop_overhangs(first, last, spans, radius, reach, limit, grids, cells, border):  # type: ignore[no-untyped-def]
     """Remove the ground of columns whose lowest voxel is a branch, and features too far above the ground.
 
-    Feature heights become relative to the reference level.
+    Feature heights become relative to the reference level; values outside the spans are undefined.
+
+    Args:
+        radius: of the square in which ground more than `reach` [m] above the lowest is a branch [cells].
+        limit: maximum height of features above the ground [m].
     """
-    n = buffers.height.shape[0]
-    nothing = np.float32(np.nan)
-    for j in range(first, last):
-        span = slice(spans[j, 0], spans[j, 1])
-        lowest, height, feature = buffers.centre[j, span], buffers.height[j, span], buffers.feature_height[j, span]
-        lowest[:] = np.float32(np.inf)
-        for jj in range(max(j - radius, 0), min(j + radius + 1, n)):
-            put_lower(buffers.lowest[jj, span], lowest)
-        for i in range(len(height)):
-            good = (feature[i] <= feature_height) & (height[i] <= lowest[i] + reach)
-            feature[i] = height[i] + feature[i] if good else nothing
-        for i in range(len(height)):
-            height[i] = height[i] if height[i] <= lowest[i] + reach else nothing
+    inner = slice(border, border + cells)
+    for j in range(border + first, border + last):
+        lowest = np.fmin.reduce(grids[BESIDE, j - radius : j + radius + 1, inner], axis=0, initial=np.inf)
+        height, feature = grids[HEIGHT, j, inner], grids[FEATURE_HEIGHT, j, inner]
+        is_ground = height <= lowest + reach
+        feature[:] = np.where(is_ground & (feature <= limit), height + feature, np.nan)
+        height[~is_ground] = np.nan

@@ -1,7 +1,7 @@
 """Terrain map: layers on a world-aligned grid, indices of its cells, and wheel positions.
 
 `on_map` and `bilinear` are plain arithmetic on numbers or arrays, in cell coordinates: cell [j, i] has its centre at
-x = i, y = j. Loops compile them (`MAPPING.inlined(bilinear)`), the sampler calls them directly.
+x = i, y = j.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -98,7 +98,7 @@ CHANNELS: Final = -1  # placeholder for the number of features
 class TerrainLayers:
     """Layers of the ground around the vehicle; row j lies at y = origin[1] + j resolution, column i alike in x.
 
-    Memory, crops and `voxels_to_layers.Layers` follow from these declarations; `infill.write_layers` writes the values.
+    Memory and crops follow from these declarations; `infill.write_layers` writes the values.
     """
 
     origin: Float[np.ndarray, " 2"]  # x, y of the centre of cell [0, 0] in the world frame [m]

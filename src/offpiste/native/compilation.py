@@ -122,9 +122,6 @@ def _compiled(function: Function, **options: Any) -> Function:
 FUSED: Final = frozenset({"contract"})
 """Fast-math flags of fused multiply-add alone."""
 
-MAPPING: Final = Compiler(
-    ("mapping",), FUSED, loops_make_arrays=False, entries_make_arrays=False, part="the map's kernels", seconds=20
-)
 MOTION: Final = Compiler(("perception/motion_compensation.py",), loops_make_arrays=False, entries_make_arrays=False)
 PROJECTION: Final = Compiler(("perception/projection.py",), loops_make_arrays=False, entries_make_arrays=False)
 FUSED_PROJECTION: Final = replace(PROJECTION, fastmath=FUSED)
