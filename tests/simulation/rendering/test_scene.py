@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from offpiste.simulation.rendering.embree import Mesh, RayCaster
-from offpiste.simulation.rendering.scene import SURFACES, ground_mesh, world_scene
+from offpiste.simulation.rendering.scene import SURFACES, Hits, ground_mesh, world_scene
 from simulation import scenes
 
 
@@ -69,3 +69,21 @@ def test_tall_grass_hides_the_ground_from_far_and_shows_it_from_above():
     flat = scene.cast(places * [0.2, 0.2, 1], np.column_stack((np.cos(angle), np.sin(angle), np.full(2000, -0.15))))
     assert (steep.surface == SURFACES.index("ground")).mean() > 0.6
     assert (flat.surface == SURFACES.index("grass")).mean() > 0.6
+
+
+def test_hits_of_a_part_are_not_changed_by_a_cast():
+    scene, (origins, directions) = world_scene(scenes.world()), _rays(40)
+    before = Hits.none(40)
+    found = scene.cast(origins, directions, before.part(slice(None)))
+    assert np.isfinite(found.distance).any()
+    assert np.isinf(before.distance).all()
+
+
+def test_rays_and_results_of_other_lengths_are_refused():
+    caster, rays = RayCaster([ground_mesh(scenes.world())]), np.ones((5, 3), np.float32)
+    results = np.ones(5, np.float32), np.zeros(5, np.int32), np.zeros(5, np.int32), np.zeros((5, 3), np.float32)
+    for origins, given in ((rays[:2], results), (rays, (*results[:3], rays[1:]))):
+        with pytest.raises(ValueError, match="5 rays"):
+            caster.intersect(origins, rays, *given)
+    with pytest.raises(ValueError, match="5 rays"):
+        caster.occluded(rays[:2], rays)

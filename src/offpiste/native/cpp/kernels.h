@@ -105,4 +105,8 @@ OFFPISTE_ENTRY(add_by_cell)(
 #include "simulation/drivetrain.h"
 #include "simulation/chassis.h"
 #include "simulation/forces.h"
+#include "simulation/rays.h"
+#include "simulation/shading.h"
+#include "simulation/camera.h"
+#include "simulation/lidar.h"
 #endif

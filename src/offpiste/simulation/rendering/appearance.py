@@ -4,7 +4,7 @@ The light varies between drives and is independent of grip.
 """
 
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import cv2
 import numpy as np
@@ -30,6 +30,7 @@ from offpiste.simulation.rendering.shading import (
     TRAIL_REACH,
     WAVELENGTHS,
     GroundTexture,
+    Light,
     octave_turns,
     random_lattice,
 )  # fmt: skip
@@ -39,21 +40,6 @@ from offpiste.simulation.world.world import World
 
 WARMER, GREENER = np.array((1.0, 0.0, -1.0)), np.array((-0.5, 1.0, -0.5))
 """Directions of white balance errors, mostly along the colours of daylight."""
-
-
-class Light(NamedTuple):
-    """Light of a drive; colours are linear RGB, with about 1 for white ground in full sun."""
-
-    sun: Float[np.ndarray, " 3"]  # unit vector to the sun in the world frame
-    sun_colour: Float[np.ndarray, " 3"]  # light of the sun on a surface facing it
-    sky_colour: Float[np.ndarray, " 3"]  # light of the whole sky on a level surface
-    horizon_colour: Float[np.ndarray, " 3"]  # visible colours of the sky
-    zenith_colour: Float[np.ndarray, " 3"]
-    haze: float  # share of light lost per metre [1/m]
-    overcast: float  # share of clouds in the sky [0..1]
-    clouds: Float[np.ndarray, " 2"]  # offset of the pattern of clouds
-    exposure: float  # factor on the automatic exposure
-    balance: Float[np.ndarray, " 3"]  # white balance factors of red, green and blue
 
 
 def draw_light(rng: np.random.Generator, noise: float) -> Light:

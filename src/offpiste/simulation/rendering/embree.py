@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.core.errors import OffpisteError, extra
-from offpiste.native.compilation import RAYS, call_address
+from offpiste.native.library import entry
 
 with extra("sim"):
     import embreex
@@ -23,6 +23,11 @@ with extra("sim"):
 Points = Float[np.ndarray, "_ 3"]
 Numbers = Float[np.ndarray, " n"]
 Indices = Int[np.ndarray, " n"]
+
+_CASTER = (int, int, int, int)
+_first_hits = entry("first_hits", *_CASTER, int, int, "f4", "f4", "f4", "i4", "i4", "f4")
+_any_hits = entry("any_hits", *_CASTER, int, int, "f4", "f4", "b1")
+"""Entries of rays.h; the first arguments are addresses of function, scene and arguments, and the rays of a packet."""
 
 _ADDRESS = ctypes.c_void_p
 _RAY16_NATIVE = 34
@@ -68,11 +73,11 @@ class RayCaster:
         library.rtcCommitScene(scene)
         if error := library.rtcGetDeviceError(device):
             raise MemoryError(f"Embree cannot build a scene of {len(parts)} meshes (error {error})")
-        self._lanes = 16 if library.rtcGetDeviceProperty(device, _RAY16_NATIVE) else 8
+        lanes = 16 if library.rtcGetDeviceProperty(device, _RAY16_NATIVE) else 8
         self._arguments = _Arguments(_COHERENT, _ALL_FEATURES)
-        functions = (getattr(library, f"rtc{name}{self._lanes}") for name in ("Intersect", "Occluded"))
+        functions = (getattr(library, f"rtc{name}{lanes}") for name in ("Intersect", "Occluded"))
         self._intersect, self._occluded = (
-            (ctypes.cast(function, _ADDRESS).value, scene.value, ctypes.addressof(self._arguments))
+            (ctypes.cast(function, _ADDRESS).value, scene.value, ctypes.addressof(self._arguments), lanes)
             for function in functions
         )
 
@@ -83,14 +88,27 @@ class RayCaster:
 
         Updates distance, face and normal where a hit is nearer than `distance`, in lengths of the direction. Normals
         have any length and point to the side from which corners are counter-clockwise.
+
+        Raises:
+            ValueError: lengths differ.
         """
-        _first_hits(*self._intersect, *_packet(self._lanes), origins, directions, distance, part, face, normal)
+        sizes = _sizes(origins, directions, distance, part, face, normal)
+        _first_hits(*self._intersect, *sizes, origins, directions, distance, part, face, normal)
 
     def occluded(self, origins: Points, directions: Points) -> Bool[np.ndarray, " n"]:
         """Return whether each ray hits anything."""
         blocked = np.empty(len(directions), np.bool_)
-        _any_hits(*self._occluded, *_packet(self._lanes), origins, directions, blocked)
+        _any_hits(*self._occluded, *_sizes(origins, directions), origins, directions, blocked)
         return blocked
+
+
+def _sizes(origins: Points, directions: Points, *of_rays: np.ndarray) -> tuple[int, int]:
+    """Return the number of origins and of rays."""
+    count = len(directions)
+    shapes = {array.shape[1:] for array in (origins, directions)}
+    if shapes != {(3,)} or len(origins) not in (1, count) or any(len(array) != count for array in of_rays):
+        raise ValueError(f"{count} rays need as many origins or one, and as many results")
+    return len(origins), count
 
 
 @cache
@@ -128,83 +146,3 @@ def _attach(library: ctypes.CDLL, device: Any, scene: Any, part: Mesh) -> tuple[
 def _release(library: ctypes.CDLL, device: Any, scene: Any) -> None:
     library.rtcReleaseScene(scene)
     library.rtcReleaseDevice(device)
-
-
-_DIRECTION, _FAR, _MASK, _NORMAL, _FACE, _PART, _ROWS = 4, 8, 9, 12, 17, 18, 21
-"""Rows of a packet (RTCRayHit16 or RTCRayHit8), four bytes per lane."""
-
-
-def _packet(lanes: int) -> tuple[Float[np.ndarray, "rows lanes"], Int[np.ndarray, "rows lanes"]]:
-    """Return views of an aligned packet as floats and as integers, followed by the mask of used lanes."""
-    size = 4 * (_ROWS + 1) * lanes
-    memory = np.zeros(size + 64, np.uint8)
-    start = -memory.ctypes.data % 64
-    integers = memory[start : start + size].view(np.int32).reshape(_ROWS + 1, lanes)
-    return integers.view(np.float32), integers
-
-
-@RAYS.inlined
-def _start(numbers, integers, origins):  # type: ignore[no-untyped-def]
-    # Set what all packets share: used lanes and a common origin. Returns the addresses of packet and mask.
-    lanes = numbers.shape[1]
-    for lane in range(lanes):
-        integers[_ROWS, lane] = integers[_MASK, lane] = -1
-        for axis in range(3):
-            numbers[axis, lane] = origins[0, axis]
-    packet = numbers.ctypes.data
-    return packet, packet + 4 * lanes * _ROWS
-
-
-@RAYS.inlined
-def _fill(numbers, integers, first, origins, directions):  # type: ignore[no-untyped-def]
-    # Write the rays of a packet without their distances; returns their number.
-    lanes = numbers.shape[1]
-    count = min(lanes, len(directions) - first)
-    last = first + count - 1
-    if len(origins) > 1:
-        for lane in range(lanes):
-            ray = min(first + lane, last)
-            for axis in range(3):
-                numbers[axis, lane] = origins[ray, axis]
-    for lane in range(lanes):
-        ray = min(first + lane, last)
-        for axis in range(3):
-            numbers[_DIRECTION + axis, lane] = directions[ray, axis]
-    for lane in range(lanes):
-        integers[_PART, lane] = -1
-    for lane in range(count, lanes):
-        integers[_ROWS, lane] = 0
-    return count
-
-
-@RAYS.entry
-def _first_hits(  # type: ignore[no-untyped-def]
-    function, scene, arguments, numbers, integers, origins, directions, distance, part, face, normal
-):
-    lanes = numbers.shape[1]
-    packet, valid = _start(numbers, integers, origins)
-    for first in range(0, len(directions), lanes):
-        count = _fill(numbers, integers, first, origins, directions)
-        for lane in range(count):
-            numbers[_FAR, lane] = distance[first + lane]
-        call_address(function, (valid, scene, packet, arguments))  # type: ignore[call-arg]
-        for lane in range(count):
-            ray = first + lane
-            part[ray] = integers[_PART, lane]
-            if part[ray] >= 0:
-                distance[ray], face[ray] = numbers[_FAR, lane], integers[_FACE, lane]
-                for axis in range(3):
-                    normal[ray, axis] = numbers[_NORMAL + axis, lane]
-
-
-@RAYS.entry
-def _any_hits(function, scene, arguments, numbers, integers, origins, directions, blocked):  # type: ignore[no-untyped-def]
-    lanes = numbers.shape[1]
-    packet, valid = _start(numbers, integers, origins)
-    for first in range(0, len(directions), lanes):
-        count = _fill(numbers, integers, first, origins, directions)
-        for lane in range(lanes):
-            numbers[_FAR, lane] = np.inf
-        call_address(function, (valid, scene, packet, arguments))  # type: ignore[call-arg]
-        for lane in range(count):
-            blocked[first + lane] = numbers[_FAR, lane] < 0  # set by Embree on a hit

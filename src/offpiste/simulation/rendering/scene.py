@@ -9,10 +9,12 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from offpiste.native.compilation import RAYS
+from offpiste.native.library import entry
 from offpiste.simulation.rendering.embree import Mesh, RayCaster
 from offpiste.simulation.world.grids import read_grid
 from offpiste.simulation.world.world import Bushes, Trees, World
+
+_identify_hits = entry("identify_hits", int, "i4", "i4", "f4", "i1", "i8", "i4", "i1", "i4", "f4")
 
 BLOCK = 65536
 """Rays in one block, about 5 MB; large enough that threads seldom wait for the interpreter."""
@@ -171,8 +173,12 @@ class Hits:
         return cls(distance, surface, item, np.zeros((n, 3), np.float32))
 
     def part(self, rays: slice) -> "Hits":
-        """Return a copy of the hits of some rays."""
-        return Hits(*(values[rays].copy() for values in vars(self).values()))
+        """Return a view of the hits of some rays."""
+        return Hits(*(values[rays] for values in vars(self).values()))
+
+    def copy(self) -> "Hits":
+        """Return a copy."""
+        return Hits(*(values.copy() for values in vars(self).values()))
 
 
 class Scene:
@@ -202,11 +208,11 @@ class Scene:
             nearer: other hits of the same rays, kept where they are nearer.
         """
         directions = _single(directions)
-        hits = Hits.none(len(directions)) if nearer is None else nearer.part(slice(None))
+        hits = Hits.none(len(directions)) if nearer is None else nearer.copy()
         part, face = np.empty((2, len(directions)), np.int32)
         self._caster.intersect(_single(origins), directions, hits.distance, part, face, hits.normal)
         tables = self._surfaces, self._first, self._items
-        _identify(part, face, directions, *tables, hits.surface, hits.item, hits.normal)
+        _identify_hits(len(directions), part, face, directions, *tables, hits.surface, hits.item, hits.normal)
         return hits
 
     def occluded(
@@ -232,21 +238,6 @@ def world_scene(world: World, *, threads: int = 2) -> Scene:
 
 def _single(vectors: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(vectors, dtype=np.float32)
-
-
-@RAYS.entry
-def _identify(part, face, directions, surfaces, first, items, surface, item, normal):  # type: ignore[no-untyped-def]
-    # Look up surface and item of each hit; normalise normals and orient them towards the origin.
-    for n in range(len(part)):
-        if part[n] < 0:
-            continue
-        surface[n] = surfaces[part[n]]
-        item[n] = items[first[part[n]] + face[n]]
-        x, y, z = normal[n]
-        scale = 1.0 / np.sqrt(x * x + y * y + z * z)
-        if x * directions[n, 0] + y * directions[n, 1] + z * directions[n, 2] > 0:
-            scale = -scale
-        normal[n, 0], normal[n, 1], normal[n, 2] = x * scale, y * scale, z * scale
 
 
 def body_hits(origin: Float[np.ndarray, " 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:

@@ -8,12 +8,14 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 
-from offpiste.native.compilation import RAYS
+from offpiste.native.library import entry
 from offpiste.rig.camera import CameraModel
 from offpiste.simulation.rendering.appearance import Appearance
 from offpiste.simulation.rendering.scene import Scene, body_hits
-from offpiste.simulation.rendering.shading import Vehicle, hashed, shade_rays, shading_buffers
+from offpiste.simulation.rendering.shading import Vehicle, shade_rays
 from offpiste.simulation.sample import Pose
+
+_develop = entry("develop", int, int, int, int, "f4", "f4", float, float, float, "u1", int, "u1")
 
 LENS_BLUR = 0.6
 """Standard deviation of the blur by lens and demosaicing [px]."""
@@ -96,17 +98,16 @@ def render(
     s, (width, height) = camera.settings, camera.settings.model.size
     linear = np.empty((height, width, 3), np.float32)
     _shade(scene, appearance, camera, world_from_body, linear.reshape(-1, 3))
-    sharp = cv2.GaussianBlur(linear, (0, 0), LENS_BLUR).reshape(height, -1)
-    image = np.empty((height, 3 * width), np.uint8)
+    blurred = cv2.GaussianBlur(linear, (0, 0), LENS_BLUR)
+    image = np.empty((height, width, 3), np.uint8)
     gain = np.tile(exposure(linear) * appearance.light.exposure * appearance.light.balance.astype(np.float32), width)
-    curve = _tone_curve()
+    sensor = (s.vignetting, s.full_well, s.read_noise)
 
     def block(first: int, last: int) -> None:
-        buffers = np.empty(3 * width, np.float32), np.empty(3 * width, np.int32)
-        develop(sharp, first, last, gain, s.vignetting, s.full_well, s.read_noise, curve, seed, buffers, image)
+        _develop(first, last, height, width, blurred, gain, *sensor, _tone_curve(), seed, image)
 
     scene.spread(height, block, size=32)
-    return image.reshape(height, width, 3)
+    return image
 
 
 def exposure(linear: Float[np.ndarray, "height width 3"]) -> float:
@@ -130,19 +131,9 @@ def _shade(
     def block(first: int, last: int) -> None:
         rays = camera.rays[first:last] @ turned
         hits = scene.cast(origin[None], rays, camera.own.part(slice(first, last)))
-        light = np.empty((last - first, 3), np.float32)
-        shade_rays(*look, rays, *vars(hits).values(), shading_buffers(len(appearance.ground.turn)), light)
-        _put(light, camera.pixels[first:last], linear)
+        shade_rays(*look, rays, hits, camera.pixels[first:last], linear)
 
     scene.spread(len(linear), block)
-
-
-@RAYS.entry
-def _put(light, pixels, linear):  # type: ignore[no-untyped-def]
-    """Scatter the light of rays to their pixels; NumPy takes ten times as long."""
-    for n in range(len(pixels)):
-        for channel in range(3):
-            linear[pixels[n], channel] = light[n, channel]
 
 
 @cache
@@ -152,33 +143,3 @@ def _tone_curve() -> UInt8[np.ndarray, " n"]:
     value = np.where(value < 0.6, value, 0.6 + 0.4 * (1 - np.exp(-(value - 0.6) / 0.4)))
     value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return np.rint(255 * value).astype(np.uint8)
-
-
-@RAYS.entry
-def develop(linear, first, last, gain, vignetting, full_well, read_noise, curve, seed, buffers, image):  # type: ignore[no-untyped-def]
-    """Develop rows of an image from linear light: vignetting, shot and read noise (EMVA 1288), tone curve.
-
-    Noise depends only on seed and pixel, not on the split over threads. Loops are short so that LLVM vectorises them.
-
-    Args:
-        linear, image: interleaved RGB [height, 3 * width].
-        gain: [3 * width].
-        buffers: float and integer buffers [3 * width].
-    """
-    height, values = linear.shape
-    width = values // 3
-    noise, level = buffers
-    for v in range(first, last):
-        for k in range(values):
-            # A sum of four uniform numbers is nearly normal, with variance 1/3.
-            even = hashed(k, v, seed) + hashed(k, v, seed + 1)
-            noise[k] = even + (hashed(v, k, seed) + hashed(v, k, seed + 1))
-        for k in range(values):
-            u = k // 3
-            radius2 = ((u - 0.5 * width) ** 2 + (v - 0.5 * height) ** 2) / (0.25 * (width * width + height * height))
-            value = max(linear[v, k] * gain[k] * (1 - vignetting * radius2), 0.0)
-            sigma = np.sqrt(value / full_well + read_noise * read_noise)
-            value += (noise[k] - 2) * 1.732 * sigma
-            level[k] = int(min(max(value, 0.0) * 2047.5, 4095.0))
-        for k in range(values):
-            image[v, k] = curve[level[k]]

@@ -5,9 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from offpiste.native.compilation import RAYS
+from offpiste.native.library import entry
 from offpiste.simulation.rendering.scene import BLOCK, Scene, body_hits
 from offpiste.simulation.sample import Motion, Pose
+
+_turn_rays = entry("turn_rays", int, int, "f8", "f8", "f4")
+_reflect = entry("reflect", int, int, int, int, "f4", "f4", "f4", "i1", "f4", "f4", "f4", "i1")
+_measure_points = entry(
+    "measure_points", int, float, float, float, float, "f8", "f4", "f4", "f8", "f8", "i4", "f4", returns=int
+)
 
 REFLECTIVITY = np.array([0.0, 0.30, 0.25, 0.50, 0.45, 0.50, 0.35], np.float32)
 """Reflectivity of `SURFACES` near 900 nm; soil 0.2 to 0.4, green leaves about 0.5 (ASTER library, rounded)."""
@@ -70,13 +76,12 @@ class Lidar:
         distance, echo, surface = self._echoes(scene, *motion.at(start + self._time))
         n, rings, s = len(distance), self.settings.rings, self.settings
         random, noise = rng.random(n), s.range_noise * rng.standard_normal(n)
-        returned = np.empty(n, np.int32)
-        limits = (np.float32(limit) for limit in (s.min_range, s.max_range, s.dropout, s.lost))
-        returned = returned[: _returned(*limits, distance, echo, random, returned)]
-        points = np.empty((len(returned), 3), np.float32)
-        _place(self._ray.reshape(-1, 3), distance, noise, returned, points)
+        returned, points = np.empty(n, np.int32), np.empty((n, 3), np.float32)
+        limits = (s.min_range, s.max_range, s.dropout, s.lost)
+        found = _measure_points(n, *limits, self._ray, distance, echo, random, noise, returned, points)
+        returned = returned[:found].copy()
         return Scan(
-            points=points,
+            points=points[:found].copy(),
             intensity=(echo[returned] * rng.uniform(0.9, 1.1, len(returned))).astype(np.float32),
             ring=returned % np.int32(rings),
             time=np.repeat(self._time.astype(np.float32), rings)[returned],
@@ -94,60 +99,11 @@ class Lidar:
 
         def block(first: int, last: int) -> None:
             rays = np.empty(((last - first) * columns, 3), np.float32)
-            _turn(rotation, self._ray_body[first:last], rays)
+            _turn_rays(last - first, columns, rotation, self._ray_body[first:last], rays)
             own = self._own.part(slice(first * columns, last * columns))
             hits = scene.cast(np.tile(origin, (last - first, 1)), rays, own)
-            _reflect(REFLECTIVITY, hits.distance, hits.surface, hits.normal, rays, first, distance, echo, surface)
+            found = (hits.distance, hits.surface, hits.normal)
+            _reflect(len(rays), first, rings, columns, REFLECTIVITY, rays, *found, distance, echo, surface)
 
         scene.spread(rings, block, size=max(BLOCK // columns, 1))
         return distance.ravel(), echo.ravel(), surface.ravel()
-
-
-@RAYS.entry
-def _turn(rotation, ray_body, ray_world):  # type: ignore[no-untyped-def]
-    """Rotate rays [rings, columns, 3] by the rotation of each column, ring by ring."""
-    rings, columns = ray_body.shape[:2]
-    for r in range(rings):
-        for c in range(columns):
-            x, y, z = ray_body[r, c, 0], ray_body[r, c, 1], ray_body[r, c, 2]
-            for i in range(3):
-                ray_world[r * columns + c, i] = rotation[c, i, 0] * x + rotation[c, i, 1] * y + rotation[c, i, 2] * z
-
-
-@RAYS.entry
-def _reflect(reflectivity, distances, surfaces, normal, ray, first, distance, echo, surface):  # type: ignore[no-untyped-def]
-    """Sort hits of the rings from `first` on by column, and compute reflectivity times the cosine of incidence."""
-    columns = len(distance)
-    for n in range(len(ray)):
-        c, r = n % columns, first + n // columns
-        facing = normal[n, 0] * ray[n, 0] + normal[n, 1] * ray[n, 1] + normal[n, 2] * ray[n, 2]
-        distance[c, r], surface[c, r] = distances[n], surfaces[n]
-        echo[c, r] = reflectivity[surfaces[n]] * abs(facing)
-
-
-@RAYS.entry
-def _returned(nearest, farthest, dropout, lost, distance, echo, random, returned):  # type: ignore[no-untyped-def]
-    """Write the indices of rays that return a point, given uniform random numbers; returns their number.
-
-    The share lost is `dropout`, and more as the echo fades with the square of the range.
-    """
-    count, one = 0, np.float32(1)
-    for n in range(len(distance)):
-        if not (nearest < distance[n] < farthest) or random[n] <= dropout:
-            continue
-        range_ratio = farthest / distance[n]
-        strength = echo[n] / np.float32(0.1) * (range_ratio * range_ratio)
-        if random[n] > dropout + (one - dropout) * lost ** max(strength, np.float32(0)):
-            returned[count] = n
-            count += 1
-    return count
-
-
-@RAYS.entry
-def _place(ray, distance, noise, returned, points):  # type: ignore[no-untyped-def]
-    """Compute the measured points."""
-    for k in range(len(returned)):
-        n = returned[k]
-        measured = distance[n] + noise[n]
-        for axis in range(3):
-            points[k, axis] = ray[n, axis] * measured
