@@ -110,13 +110,15 @@ def test_a_damaged_chunk_is_an_error_in_one_line(tmp_path, key, damage):
 
 
 @pytest.mark.parametrize("file", ["zarr.json", "one/zarr.json", "one/state/zarr.json", "one/checksums.json"])
-@pytest.mark.parametrize("damage", ["missing", "changed", "{"])
+@pytest.mark.parametrize("damage", ["missing", "changed", "{", "folder"])
 def test_damaged_metadata_are_an_error_that_names_the_file(tmp_path, file, damage):
     path = stored(tmp_path)
     content = (path / file).read_text()
-    if damage == "missing":
+    if damage in ("missing", "folder"):
         (path / file).unlink()
-    else:
+    if damage == "folder":
+        (path / file).mkdir()
+    elif damage != "missing":
         place = content.rindex("0")
         changed = content[:place] + "1" + content[place + 1 :]
         (path / file).write_text(changed if damage == "changed" else damage)

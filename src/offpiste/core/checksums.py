@@ -69,7 +69,7 @@ def damaged_files(folder: Path) -> Iterator[DamagedFile]:
         content = parsed(read_small(folder / CHECKSUMS))
         if sha256_of_json(content["sha256"]) == content["sha256_of_these"]:
             digests = content["sha256"]
-    except (FileNotFoundError, ValueError, KeyError, TypeError):
+    except (FileNotFoundError, IsADirectoryError, NotADirectoryError, ValueError, KeyError, TypeError):
         pass
     for name, digest in digests.items():
         file = folder / name
