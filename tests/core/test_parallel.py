@@ -72,12 +72,17 @@ def machine(root: Path, **files: str) -> Path:
     return root
 
 
-@pytest.mark.parametrize(("group", "place"), [("/jobs/one", "jobs"), ("/", "")], ids=["a parent's limit", "container"])
-def test_free_memory_is_no_more_than_the_container_has_left(tmp_path, group, place):
-    files = {"max": f"{4 << 30}\n", "current": f"{3 << 30}\n", "stat": f"anon 5\ninactive_file {1 << 30}\n"}
+@pytest.mark.parametrize(
+    ("group", "place", "names"),
+    [("0::/jobs/one", "jobs", "max current inactive_file"), ("0::/", "", "max current inactive_file"),
+     ("4:memory:/jobs/one", "memory/jobs", "limit_in_bytes usage_in_bytes total_inactive_file")],
+)  # fmt: skip
+def test_free_memory_is_no_more_than_the_container_has_left(tmp_path, group, place, names):
+    limit, used, cached = names.split()
+    files = {limit: f"{4 << 30}\n", used: f"{3 << 30}\n", "stat": f"anon 5\n{cached} {1 << 30}\n"}
     inside = {f"sys/fs/cgroup/{place}/memory.{name}": text for name, text in files.items()}
-    assert free_memory(machine(tmp_path, **{"proc/self/cgroup": f"1:name=systemd:/\n0::{group}\n"} | inside)) == 2 << 30
-    (tmp_path / "sys/fs/cgroup" / place / "memory.max").write_text("max\n")
+    assert free_memory(machine(tmp_path, **{"proc/self/cgroup": f"1:name=systemd:/\n{group}\n"} | inside)) == 2 << 30
+    (tmp_path / "sys/fs/cgroup" / place / f"memory.{limit}").write_text("max\n")
     assert free_memory(tmp_path) == 8 << 30
 
 

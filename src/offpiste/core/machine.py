@@ -12,6 +12,14 @@ logger = logging.getLogger(__name__)
 
 _SPARE: Final = 5e8
 """Memory to leave free [bytes]."""
+_CGROUPS: Final = (
+    (r"^0::(.*)$", "sys/fs/cgroup", "memory.max", "memory.current", "inactive_file"),
+    (
+        r"^\d+:(?:[\w,]+,)?memory(?:,[\w,]+)?:(.*)$", "sys/fs/cgroup/memory", "memory.limit_in_bytes",
+        "memory.usage_in_bytes", "total_inactive_file",
+    ),
+)  # fmt: skip
+"""Line, folder, limit, use and cached files of control groups of version 2 and of version 1."""
 
 
 def usable_cores() -> int:
@@ -39,13 +47,14 @@ def free_memory(root: Path = Path("/")) -> int:
     with suppress(OSError):
         free = _number(root / "proc/meminfo", "MemAvailable:", free // 1024) * 1024
     with suppress(OSError):
-        # Control groups of version 2; that of version 1 is no longer the default of any distribution.
-        found = re.search(r"^0::(.*)$", root.joinpath("proc/self/cgroup").read_text("utf-8"), re.MULTILINE)
-        for part in (PurePosixPath(found[1]), *PurePosixPath(found[1]).parents) if found else ():
-            group = root / "sys/fs/cgroup" / str(part).lstrip("/")
-            with suppress(OSError):
-                used = _number(group / "memory.current") - _number(group / "memory.stat", "inactive_file")
-                free = min(free, max(0, _number(group / "memory.max") - used))
+        groups = root.joinpath("proc/self/cgroup").read_text("utf-8")
+        for line, folder, limit, use, cached in _CGROUPS:
+            found = re.search(line, groups, re.MULTILINE)
+            for part in (PurePosixPath(found[1]), *PurePosixPath(found[1]).parents) if found else ():
+                group = root / folder / str(part).lstrip("/")
+                with suppress(OSError):
+                    used = _number(group / use) - _number(group / "memory.stat", cached)
+                    free = min(free, max(0, _number(group / limit) - used))
     return free
 
 
