@@ -1,6 +1,5 @@
 """ROS 1 and ROS 2 bags, without ROS: numbers, images, point clouds, calibrations and transforms."""
 
-import functools
 import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -141,14 +140,16 @@ class BagLog(Log):
         if others := {c.msgtype for c in connections} - {main.msgtype}:
             notes.append(f"{self.path}: topic '{name}' also carries {', '.join(sorted(others))}, which are not read")
 
-        @functools.cache
-        def first() -> list[object]:
-            messages: list[object] = []
+        decoded, kept = islice(self._messages(name, main.msgtype), _FIRST), list[object]()
+
+        def first() -> Iterator[object]:
+            yield from kept
             try:
-                messages.extend(message for _, message in islice(self._messages(name, main.msgtype), _FIRST))
+                for _, message in decoded:
+                    kept.append(message)
+                    yield message
             except LogError as error:
                 notes.append(str(error))
-            return messages
 
         try:
             store = typestore_of(main, self.path)
