@@ -107,10 +107,13 @@ def test_quaternions_of_either_sign_are_never_interpolated_through_zero() -> Non
     assert len(drive.channels["orientation"].time) == len(TIME) - 4
 
 
-def test_a_hopeless_pose_is_said_to_be() -> None:
+def test_a_hopeless_pose_is_said_to_be_and_broken_at_its_jumps() -> None:
     drive = drive_of(5000 * TIME)
     assert drive.notes == ("position: moves as no vehicle does for most of the drive; nothing was dropped",)
     assert len(drive.channels["position"].time) == len(TIME)
+    shaken = drive_of(1000 * (np.arange(len(TIME)) // 20 % 2))
+    assert shaken.notes == drive.notes
+    np.testing.assert_allclose(shaken.faults.breaks()[:2], [[TIME[19], TIME[20]], [TIME[39], TIME[40]]])
 
 
 @pytest.mark.parametrize(

@@ -96,7 +96,9 @@ def plausible(name: str, time: Float[np.ndarray, " n"], values: Float[np.ndarray
         return Plausible(np.ones(count, bool))
     resolution = float(_norm(np.array([_resolution(column) for column in values.T]))) if name == "position" else 0.0
     steps = _Steps(time, fresh, between, limits, resolution)
-    nothing = Plausible(np.ones(count, bool), hopeless=bool(steps.fault.any()))
+    cuts = np.flatnonzero(steps.fault)
+    at_cuts = tuple(zip(fresh[cuts + 1].tolist(), steps.off[cuts].tolist(), strict=True))
+    nothing = Plausible(np.ones(count, bool), at_cuts, hopeless=len(cuts) > 0)
     if not nothing.hopeless:
         return nothing
     segments = _Segments(steps)
