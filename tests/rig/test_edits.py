@@ -27,7 +27,7 @@ def test_an_edit_sets_one_entry_and_leaves_the_rest() -> None:
     "edit", [Edit("channels.steer.sign", 2), Edit("channels.steer.nonsense", 1), Edit("channels.position", None)]
 )
 def test_an_impossible_edit_is_refused(edit: Edit) -> None:
-    with pytest.raises(RigError):
+    with pytest.raises(RigError, match=f"^{RIG.name}: "):
         edited(RIG, [edit])
 
 

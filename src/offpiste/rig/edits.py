@@ -50,8 +50,11 @@ def edited(rig: Rig, edits: Sequence[Edit]) -> Rig:
             table.pop(last, None)
         else:
             table[last] = edit.value
-    changed = converted(entries, Rig)
-    check_rig(changed)
+    try:
+        changed = converted(entries, Rig)
+        check_rig(changed)
+    except RigError as error:
+        raise RigError(error.what, where=rig.name, how=error.how) from None
     return changed
 
 
