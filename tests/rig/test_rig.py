@@ -76,7 +76,13 @@ WRONG = [
     (RIG + "[live.timeouts]\nstate = 0\n", "live.timeouts.state is 0: .* >= 0.04"),
     (RIG + "[live.timeouts]\nplan = 0.08\n", "live.timeouts.plan is 0.08: .* >= 0.2"),
     (RIG + '[live.enable]\ntopic = "/e"\ntimeout = 0\n', "live.enable.timeout is 0"),
+    (RIG + CAMERA + "bits = 4\n", "cameras.front.bits is 4"),
+    (
+        RIG + CAMERA + CAMERA.replace("front]", "rear]") + "bits = 20\n" + LIDAR + 'time_unit = "minutes"\n',
+        "cameras.rear.bits is 20",
+    ),
     # Names of topics, types and fields.
+    (output('"/a"', '"/a\\n"'), "outputs.a.topic is .*: expected a topic such as"),
     (output('"/a"', '"a b"'), "outputs.a.topic is 'a b': expected a topic such as"),
     (output("/msg/", "/"), "outputs.a.type is 'geometry_msgs/Twist': expected a type such as"),
     (output('"speed"', '"sped"'), 'outputs.a.fields."linear.x".of is \'sped\'.*did you mean \'speed\''),

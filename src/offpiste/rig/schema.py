@@ -17,9 +17,9 @@ _MOST: Final = sys.float_info.max
 Finite = Annotated[float, Meta(ge=-_MOST, le=_MOST)]
 Positive = Annotated[float, Meta(gt=0.0, le=_MOST)]
 Fraction = Annotated[float, Meta(gt=0.0, le=1.0)]
-_TOPIC: Final = r"^(/[a-zA-Z_]\w*)+$"
-_TYPE: Final = r"^[a-zA-Z]\w*/msg/[A-Z]\w*$"
-_PATH: Final = r"^[a-z][a-zA-Z0-9_]*(\.[a-z][a-zA-Z0-9_]*)*(\[\d{1,3}\])?$"
+_TOPIC: Final = r"^(/[a-zA-Z_]\w*)+\Z"
+_TYPE: Final = r"^[a-zA-Z]\w*/msg/[A-Z]\w*\Z"
+_PATH: Final = r"^[a-z][a-zA-Z0-9_]*(\.[a-z][a-zA-Z0-9_]*)*(\[\d{1,3}\])?\Z"
 TopicName = Annotated[str, Meta(pattern=_TOPIC)]
 MessageType = Annotated[str, Meta(pattern=_TYPE)]
 FieldPath = Annotated[str, Meta(pattern=_PATH)]
@@ -48,7 +48,7 @@ def converted(given: Mapping[str, Any], kind: type[_T]) -> _T:
             what = what.replace(jargon, words)
         if found := _WHERE.search(str(error)):
             steps = [*_STEP.findall(found[2]), *(["[...]"] if found[1] else [])]
-            key, value = _located(given, kind, steps)
+            key, value = _located(given, kind, steps, str(error))
             if isinstance(value, float) and not math.isfinite(value):
                 what = "Expected a finite number"
             shown = "" if found[1] or isinstance(value, dict | list) else f" is {value!r}"
@@ -56,29 +56,34 @@ def converted(given: Mapping[str, Any], kind: type[_T]) -> _T:
         raise RigError(what, how=f"{suggestion(error, kind)}see docs/rig.md for the keys of a rig") from error
 
 
-def _located(given: Mapping[str, Any], kind: type, steps: list[str]) -> tuple[str, Any]:
-    """Return the full key and the value of a faulty entry, from a path in which `[...]` stands for any name."""
+def _located(given: Mapping[str, Any], kind: type, steps: list[str], message: str) -> tuple[str, Any]:
+    """Return the full key and the value of a faulty entry, from a path in which `[...]` stands for any name.
+
+    Args:
+        message: msgspec's, which tells this fault from others.
+    """
     whole: Any = copy.deepcopy(given)
     key, entry = "", whole
     for step in steps:
         if step.startswith("[") and step != "[...]":
             key, entry = key + step, entry[int(step[1:-1])]
             continue
-        name = _faulty(whole, kind, entry) if step == "[...]" else step
+        name = _faulty(whole, kind, entry, message) if step == "[...]" else step
         key += f".{name}" if re.fullmatch(r"[\w-]+", name) else f'."{name}"'
         entry = entry[name]
     return key.lstrip("."), entry
 
 
-def _faulty(whole: Any, kind: type, table: dict[str, Any]) -> str:
-    """Return the name of the first faulty entry of a table within a rig, and leave it as the only one."""
+def _faulty(whole: Any, kind: type, table: dict[str, Any], message: str) -> str:
+    """Return the name of the first entry of a table within a rig with this fault, and leave it as the only one."""
     for name, entry in dict(table).items():
         table.clear()
         table[name] = entry
         try:
             msgspec.convert(whole, type=kind)
-        except msgspec.ValidationError:
-            return name
+        except msgspec.ValidationError as error:
+            if str(error) == message:
+                return name
     raise AssertionError("an entry is faulty")
 
 

@@ -121,7 +121,10 @@ def check_sensors(cameras: dict[str, CameraSource], lidars: dict[str, LidarSourc
 def _check_camera(key: str, camera: CameraSource) -> None:
     count = "two calibrations" if camera.info else "no calibration"
     several = bool(camera.info) == (camera.intrinsics is not None)
-    refuse((several, f"{key} has {count}", "give info (a CameraInfo topic) or intrinsics, one of the two"))
+    refuse(
+        (several, f"{key} has {count}", "give info (a CameraInfo topic) or intrinsics, one of the two"),
+        (0 < camera.bits < 8, f"{key}.bits is {camera.bits}", "give 8 to 16, or leave it out for images of 8 bits"),
+    )
     _check_mounting(f"{key}.body_from_camera", camera.mounting)
 
 
