@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from offpiste.core.state import Trajectory
-from offpiste.report.chart import draw
 from offpiste.uncertainty.calibration import NOMINAL
 from offpiste.uncertainty.fit import SpreadPrediction
 from offpiste.visualization.predicted_regions import ellipses, regions_chart
@@ -42,6 +40,5 @@ def test_a_failed_prediction_leaves_the_axes_finite():
     found, recorded = straight(), np.zeros((3, 250, 2))
     found.trajectory.state[0, 100:] = torch.nan
     found.trajectory.state[1, 100:, 0] = torch.inf
-    chart = regions_chart(found, recorded, "dc")
-    assert all(np.isfinite((panel.x_range, panel.y_range)).all() for panel in chart.panels)
-    FigureCanvasAgg(draw(chart)).draw()
+    panels = regions_chart(found, recorded, "dc").panels
+    assert all(np.isfinite((panel.x_range, panel.y_range)).all() for panel in panels)
