@@ -103,7 +103,7 @@ class Lidar:
             own = self._own.part(slice(first * columns, last * columns))
             hits = scene.cast(np.tile(origin, (last - first, 1)), rays, own)
             found = (hits.distance, hits.surface, hits.normal)
-            _reflect(len(rays), first, rings, columns, REFLECTIVITY, rays, *found, distance, echo, surface)
+            _reflect(first, last, rings, columns, REFLECTIVITY, rays, *found, distance, echo, surface)
 
         scene.spread(rings, block, size=max(BLOCK // columns, 1))
         return distance.ravel(), echo.ravel(), surface.ravel()
