@@ -1,20 +1,20 @@
 """Low-frequency noise of unit variance for sampled control sequences."""
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from ctypes import Structure, c_int, c_uint64, c_void_p
+from functools import cache, partial
+from typing import Any
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt32
 from torch import Generator, Tensor
 
-from offpiste.native.threads import single_threaded_torch, spread_kernel
+from offpiste.native.library import library
+from offpiste.native.tensors import CHUNK, Arrays, call
 
 Shape = tuple[int, int, int]
 """Samples K, steps T, controls U."""
-
-PART: Final = 32
-"""Samples per generator, so that the noise does not depend on the number of threads."""
 
 Noise = Callable[[Shape, Generator, torch.dtype], Tensor]
 """Function that draws unit noise [K, T, U] on the generator's device; samples and controls are independent."""
@@ -34,6 +34,9 @@ def coloured(
     Drawn in the frequency domain (Timmer & Koenig, 1995), so the spectrum over the period is exact; the mean, f = 0,
     has the power of the lowest frequency.
 
+    On the CPU the generator gives a seed alone: numbers come from a generator without state (`threefry`), and are the
+    same on any number of threads.
+
     Args:
         exponent: 0 white, 1 pink, 2 like a random walk.
         period: period of the noise [steps]; 2 T by default, so that its end does not depend on its start.
@@ -42,23 +45,91 @@ def coloured(
     Raises:
         ValueError: the period is shorter than the steps.
     """
-    steps = shape[1]
-    period = 2 * steps if period is None else period
-    size = coefficient_sizes(steps, exponent=exponent, period=period, highest=highest)
-    return from_coefficients(shape, generator, size.to(generator.device, dtype), period)
+    samples, steps, controls = shape
+    if generator.device.type != "cpu":
+        size = coefficient_sizes(steps, exponent=exponent, period=period, highest=highest)
+        return from_coefficients(shape, generator, size.to(generator.device, dtype), period or 2 * steps)
+    period = _checked(period, steps)
+    deviation = spectrum(period, exponent, highest).sqrt().div(period).float()
+    seed = int(torch.randint(2**62, (), generator=generator))
+    if library() is None:
+        return torch.from_numpy(draw_plainly(seed, deviation.numpy(), period, shape)).to(dtype)
+    noise, arrays = torch.empty(samples, steps, controls), Arrays()
+    pointers = arrays.floats(deviation), arrays.floats(torch.from_numpy(_roots(period)))
+    colour = _Colour(*pointers, len(deviation), period, samples, steps, controls, seed)
+    call("draw_noise", -(-samples // CHUNK), colour, noise)
+    return noise.to(dtype)
+
+
+class _Colour(Structure):
+    _fields_ = (
+        *((name, c_void_p) for name in ("deviation", "roots")),
+        *((name, c_int) for name in ("frequencies", "period", "samples", "steps", "controls")),
+        ("seed", c_uint64),
+    )
+
+
+@cache
+def _roots(period: int) -> Float[np.ndarray, "period 2"]:
+    angle = 2 * np.pi * np.arange(period) / period
+    return np.stack((np.cos(angle), np.sin(angle)), axis=-1).astype(np.float32)
+
+
+def draw_plainly(
+    seed: int, deviation: Float[np.ndarray, " frequencies"], period: int, shape: Shape
+) -> Float[np.ndarray, "K T U"]:
+    """Draw noise as `native/cpp/noise.h` does.
+
+    Args:
+        deviation: standard deviation of real and imaginary part of each coefficient.
+    """
+    samples, steps, controls = shape
+    pairs, count = -(-samples // CHUNK) * (CHUNK // 2), len(deviation)
+    series = np.arange(pairs * controls, dtype=np.uint32)[:, None]
+    drawn = threefry((seed % 2**32, seed >> 32, 0, 0), (np.arange(count, dtype=np.uint32), series, 0, 0))
+    uniform = (drawn >> 8).astype(np.float32) * np.float32(2**-24)
+    up, down = np.sqrt(-2 * np.log(1 - uniform[::2])) * np.exp(2j * np.pi * (uniform[1::2] - 0.5))
+    coefficients = np.zeros((len(series), period), np.complex64)
+    coefficients[:, :count] = deviation * up
+    negative = np.arange(1, min(count, (period + 1) // 2))
+    coefficients[:, -negative] = (deviation * down)[:, negative]
+    pairs_of_series = (period * np.fft.ifft(coefficients)[:, :steps]).reshape(-1, CHUNK // 2, controls, steps)
+    both = np.stack((pairs_of_series.real, pairs_of_series.imag), axis=1)
+    return np.ascontiguousarray(both.reshape(-1, controls, steps)[:samples].swapaxes(1, 2), np.float32)
+
+
+def threefry(key: Sequence[int], counter: Sequence[np.ndarray | int]) -> UInt32[np.ndarray, "4 ..."]:
+    """Return four random numbers for each counter: Threefry-4x32-20 (Salmon et al., SC 2011).
+
+    Args:
+        key: four numbers below 2^32.
+        counter: four numbers, or arrays (uint32) that are broadcast.
+    """
+    turns = ((10, 26), (11, 21), (13, 27), (23, 5), (6, 20), (17, 11), (25, 10), (18, 20))
+    keys = [np.uint32(part) for part in (*key, 0x1BD11BDA ^ key[0] ^ key[1] ^ key[2] ^ key[3])]
+    with np.errstate(over="ignore"):
+        started = (np.uint32(part) + first for part, first in zip(counter, keys[:4], strict=True))
+        x = np.array(np.broadcast_arrays(*started))
+        for turn in range(20):
+            for first, second, angle in zip((0, 2), (3, 1) if turn % 2 else (1, 3), turns[turn % 8], strict=True):
+                x[first] += x[second]
+                x[second] = (x[second] << angle | x[second] >> (32 - angle)) ^ x[first]
+            if turn % 4 == 3:
+                past = turn // 4 + 1
+                for i in range(4):
+                    x[i] += keys[(past + i) % 5] + np.uint32(past if i == 3 else 0)
+    return x
 
 
 def coefficient_sizes(
     steps: int, *, exponent: float = 2.0, period: int | None = None, highest: int | None = None
 ) -> Float[Tensor, " frequencies"]:
-    """Return the root mean square of each coefficient that `coloured` draws (float64).
+    """Return the root mean square of each coefficient that `from_coefficients` draws (float64).
 
     Raises:
         ValueError: the period is shorter than the steps.
     """
-    period = 2 * steps if period is None else period
-    if period < steps:
-        raise ValueError(f"the period of noise ({period}) must be at least the number of steps ({steps})")
+    period = _checked(period, steps)
     power = spectrum(period, exponent, highest)
     # `irfft` reads only the real part of the first and the last coefficient, which must have all of the power.
     power[0] *= 2
@@ -67,28 +138,17 @@ def coefficient_sizes(
     return torch.sqrt(power)
 
 
+def _checked(period: int | None, steps: int) -> int:
+    period = 2 * steps if period is None else period
+    if period < steps:
+        raise ValueError(f"the period of noise ({period}) must be at least the number of steps ({steps})")
+    return period
+
+
 def from_coefficients(
     shape: Shape, generator: Generator, size: Float[Tensor, " frequencies"], period: int
 ) -> Float[Tensor, "K T U"]:
-    """Draw noise with coefficients of these root mean squares, in several threads on the CPU."""
-    if generator.device.type != "cpu":
-        return _drawn(shape, generator, size, period)
-    samples, steps, controls = shape
-    seeds = torch.randint(2**62, (-(-samples // PART),), generator=generator).tolist()
-    noise = torch.empty(samples, controls, steps, dtype=size.dtype).transpose(1, 2)
-
-    def draw(first: int, last: int) -> None:
-        for seed, part in zip(seeds[first:last], noise.split(PART)[first:last], strict=True):
-            part.copy_(_drawn((len(part), steps, controls), Generator().manual_seed(seed), size, period))
-
-    with single_threaded_torch():
-        spread_kernel(len(seeds), draw)
-    return noise
-
-
-def _drawn(
-    shape: Shape, generator: Generator, size: Float[Tensor, " frequencies"], period: int
-) -> Float[Tensor, "K T U"]:
+    """Draw noise on a GPU, with coefficients of these root mean squares."""
     samples, steps, controls = shape
     drawn = (samples, controls, len(size))
     parts = torch.randn(drawn, generator=generator, dtype=size.dtype.to_complex(), device=generator.device)

@@ -32,6 +32,7 @@ namespace {
 #include "maps.h"
 #include "controls.h"
 #include "course.h"
+#include "noise.h"
 #include OFFPISTE_COSTS
 #include "plan.h"
 }
@@ -74,6 +75,10 @@ OFFPISTE_ENTRY(forward_on_maps)(
 
 OFFPISTE_ENTRY(keep_within)(int first, int last, const Bounds* bounds, const float* controls, float* kept) {
     keep_within(first, last, *bounds, controls, kept);
+}
+
+OFFPISTE_ENTRY(draw_noise)(int first, int last, const Colour* colour, float* noise) {
+    draw_noise(first, last, *colour, noise);
 }
 
 OFFPISTE_ENTRY(fill_course)(int first, int last, const Path* path, float* result) {
