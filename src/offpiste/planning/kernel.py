@@ -65,7 +65,7 @@ class _Situation(Structure):
         ("wheels", _Eight),
         ("control", _Three),
         *((name, c_void_p) for name in ("start", "slope", "codes", "missing", "layers", "outside", "numbers", "reads")),
-        ("layer_count", c_int),
+        *((name, c_int) for name in ("layer_count", "one_grid")),
         ("stray", _Stray),
     )
     arrays: Arrays
@@ -205,9 +205,13 @@ def _situation(
     cells, missing = codes
     if slope.shape[1] == 1:
         slope = slope.expand(-1, 2, -1)
+    if max(array.numel() for array in (slope, cells, costs.layers)) >= 2**31:
+        raise ValueError("a map of 2^31 numbers or more is not supported")
+    ground = _grid(situation, maps.origin[0], maps.resolution, cells)
+    of_costs = _grid(situation, costs.origin, costs.resolution, costs.layers)
     return _Situation(
-        ground=_grid(situation, maps.origin[0], maps.resolution, cells),
-        costs=_grid(situation, costs.origin, costs.resolution, costs.layers),
+        ground=ground,
+        costs=of_costs,
         wheels=_Eight(*situation.wheels.flatten().tolist()),
         control=_Three(*situation.control.tolist()),
         start=arrays.floats(to_kernel_state(model_state)),
@@ -219,6 +223,7 @@ def _situation(
         numbers=arrays.floats(weights.vector()),
         reads=arrays.whole([READINGS.index(layer.read) for layer in costs.table]),
         layer_count=len(costs.table),
+        one_grid=bytes(ground) == bytes(of_costs),
         stray=_stray(situation.caution, dynamics, arrays),
     )
 

@@ -43,22 +43,28 @@ OFFPISTE_INLINE float sum_of_lanes(offpiste_real x) {
     return sum;
 }
 
-/* Four numbers for each lane, of lane i at rows[i], in groups of 16 bytes: group g has those of lanes g, g + 4, ... */
-OFFPISTE_INLINE offpiste_real join_fours(const float* const* rows, int group) {
+/* Where lanes read an array: at 32-bit offsets from its start, which take less arithmetic than pointers. */
+struct Places {
+    alignas(64) int at[OFFPISTE_WIDTH];
+    explicit Places(offpiste_whole offsets) { *(offpiste_whole*)at = offsets; }
+};
+
+/* Numbers k ... k + 3 of a row for each lane, in groups of 16 bytes: group g has those of lanes g, g + 4, ... */
+template <class Row>
+OFFPISTE_INLINE offpiste_real join_fours(const Row& row, int group, int k) {
 #if OFFPISTE_WIDTH == 16
-    __m512 joined = _mm512_castps128_ps512(_mm_loadu_ps(rows[group]));
-    joined = _mm512_insertf32x4(joined, _mm_loadu_ps(rows[group + 4]), 1);
-    joined = _mm512_insertf32x4(joined, _mm_loadu_ps(rows[group + 8]), 2);
-    return (offpiste_real)_mm512_insertf32x4(joined, _mm_loadu_ps(rows[group + 12]), 3);
+    __m512 joined = _mm512_castps128_ps512(_mm_loadu_ps(row(group) + k));
+    joined = _mm512_insertf32x4(joined, _mm_loadu_ps(row(group + 4) + k), 1);
+    joined = _mm512_insertf32x4(joined, _mm_loadu_ps(row(group + 8) + k), 2);
+    return (offpiste_real)_mm512_insertf32x4(joined, _mm_loadu_ps(row(group + 12) + k), 3);
 #elif OFFPISTE_WIDTH == 8
-    const __m256 low = _mm256_castps128_ps256(_mm_loadu_ps(rows[group]));
-    return (offpiste_real)_mm256_insertf128_ps(low, _mm_loadu_ps(rows[group + 4]), 1);
+    const __m256 low = _mm256_castps128_ps256(_mm_loadu_ps(row(group) + k));
+    return (offpiste_real)_mm256_insertf128_ps(low, _mm_loadu_ps(row(group + 4) + k), 1);
 #else
-    return *(const offpiste_stored*)rows[group];
+    return *(const offpiste_stored*)(row(group) + k);
 #endif
 }
 
-/* Numbers i, j of each 16 bytes of a, then k, l of each 16 bytes of b. */
 #if OFFPISTE_WIDTH == 16
 #define OFFPISTE_PICK(a, b, i, j, k, l) \
     (offpiste_real) _mm512_shuffle_ps((__m512)(a), (__m512)(b), i | j << 2 | k << 4 | l << 6)
@@ -81,18 +87,21 @@ OFFPISTE_INLINE void transpose_fours(offpiste_real* r) {
     r[3] = OFFPISTE_PICK(c, d, 1, 3, 1, 3);
 }
 
-/* Rows of `count` numbers, one for each lane, as `count` vectors. Vectors are joined in registers: processors stall
+/* Rows of `count` numbers, row(i) for lane i, as `count` vectors. Vectors are joined in registers: processors stall
    where one is read that was written in parts. */
-OFFPISTE_INLINE void to_lanes(const float* const* rows, int count, offpiste_real* out) {
-    const float* from[OFFPISTE_WIDTH];
+template <class Row>
+OFFPISTE_INLINE void to_lanes(const Row& row, int count, offpiste_real* out) {
     int k = 0;
     for (; k + 4 <= count; k += 4) {
-        for (int i = 0; i < OFFPISTE_WIDTH; i++) from[i] = rows[i] + k;
-        for (int group = 0; group < 4; group++) out[k + group] = join_fours(from, group);
+        for (int group = 0; group < 4; group++) out[k + group] = join_fours(row, group, k);
         transpose_fours(out + k);
     }
     for (; k < count; k++)
-        for (int i = 0; i < OFFPISTE_WIDTH; i++) ((float*)(out + k))[i] = rows[i][k];
+        for (int i = 0; i < OFFPISTE_WIDTH; i++) ((float*)(out + k))[i] = row(i)[k];
+}
+
+OFFPISTE_INLINE void to_lanes(const float* array, const Places& places, int count, offpiste_real* out) {
+    to_lanes([&](int i) { return array + places.at[i]; }, count, out);
 }
 
 /* The first `inside` lanes of `count` vectors as rows. */

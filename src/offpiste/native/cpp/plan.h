@@ -20,7 +20,7 @@ struct Situation {
     const float *slope, *codes, *missing;
     const float *layers, *outside, *numbers;
     const int* reads;
-    int layer_count;
+    int layer_count, one_grid; /* one_grid: whether both grids are equal */
     Stray stray;
 };
 
@@ -31,15 +31,12 @@ struct Samples {
     float* states;         /* the first `kept` numbers of the state after each step, [count][steps][kept], or null */
 };
 
-/* Layers first ... first + count - 1 at the nearest cells. */
-OFFPISTE_INLINE void gather_layers(const Situation& s, const Place& p, int first, int count, offpiste_real* out) {
-    const offpiste_whole cell = nearest(p, s.costs.columns);
-    const float* rows[OFFPISTE_WIDTH];
-    for (int i = 0; i < OFFPISTE_WIDTH; i++) rows[i] = s.layers + (long)cell[i] * s.layer_count + first;
-    to_lanes(rows, count, out);
+/* Layers first ... first + count - 1 of cells. */
+OFFPISTE_INLINE void gather_layers(
+    const Situation& s, offpiste_whole cell, offpiste_whole inside, int first, int count, offpiste_real* out) {
+    to_lanes(s.layers + first, Places(cell * s.layer_count), count, out);
     for (int k = 0; k < count; k++)
-        if (s.outside[first + k] == s.outside[first + k])
-            out[k] = p.inside ? out[k] : all_lanes(s.outside[first + k]);
+        if (s.outside[first + k] == s.outside[first + k]) out[k] = inside ? out[k] : all_lanes(s.outside[first + k]);
 }
 
 /* First and number of the layers that are read at wheels, or at the pose point; four at once where there are four. */
@@ -78,29 +75,31 @@ OFFPISTE_INLINE void sample_terrain(
         const offpiste_real px = state[0] + v.cos_yaw * wx - v.sin_yaw * wy;
         const offpiste_real py = state[1] + v.sin_yaw * wx + v.cos_yaw * wy;
         const Place p = place_on(s.ground, px, py);
+        const offpiste_whole cell = nearest(p, s.ground.columns);
         offpiste_real x0, y0, slope[8];
-        const float* rows[OFFPISTE_WIDTH];
         corner_of(p, last_x, last_y, &x0, &y0);
-        const offpiste_whole corner = whole(y0) * columns + whole(x0);
-        for (int i = 0; i < OFFPISTE_WIDTH; i++) rows[i] = s.slope + 2L * corner[i];
-        to_lanes(rows, 4, slope);
-        for (int i = 0; i < OFFPISTE_WIDTH; i++) rows[i] += up;
-        to_lanes(rows, 4, slope + 4);
+        const Places corner((whole(y0) * columns + whole(x0)) * 2);
+        to_lanes(s.slope, corner, 4, slope);
+        to_lanes(s.slope + up, corner, 4, slope + 4);
         add_wheel(ground, slope, p.x - x0, p.y - y0, p.inside);
         if (size) {
-            const offpiste_whole cell = nearest(p, s.ground.columns);
-            for (int i = 0; i < OFFPISTE_WIDTH; i++)
-                rows[i] = p.inside[i] ? s.codes + (long)cell[i] * size : s.missing;
-            to_lanes(rows, size, w + OFFPISTE_ROWS + wheel * size);
+            offpiste_real* code = w + OFFPISTE_ROWS + wheel * size;
+            to_lanes(s.codes, Places(cell * size), size, code);
+            for (int k = 0; k < size; k++) code[k] = p.inside ? code[k] : all_lanes(s.missing[k]);
         }
-        gather_layers(s, place_on(s.costs, px, py), spans[0].first, spans[0].count, read);
+        if (s.one_grid) gather_layers(s, cell, p.inside, spans[0].first, spans[0].count, read);
+        else {
+            const Place q = place_on(s.costs, px, py);
+            gather_layers(s, nearest(q, s.costs.columns), q.inside, spans[0].first, spans[0].count, read);
+        }
         for (int k = 0; k < spans[0].count; k++) {
             const int layer = spans[0].first + k;
             if (s.reads[layer] == MEAN_OF_WHEELS) v.layers[layer] += 0.25f * read[k];
             if (s.reads[layer] == LEAST_OF_WHEELS) v.layers[layer] = at_most(read[k], v.layers[layer]);
         }
     }
-    gather_layers(s, place_on(s.costs, state[0], state[1]), spans[1].first, spans[1].count, read);
+    const Place pose = place_on(s.costs, state[0], state[1]);
+    gather_layers(s, nearest(pose, s.costs.columns), pose.inside, spans[1].first, spans[1].count, read);
     for (int k = 0; k < spans[1].count; k++)
         if (s.reads[spans[1].first + k] == POSE_POINT) v.layers[spans[1].first + k] = read[k];
     store_ground(ground, w);
@@ -161,7 +160,7 @@ static void roll_plan(int first, int last, const Model& m, const Situation& s, c
     begin_workspace(m, w);
     for (int at = first * CHUNK; at < last * CHUNK && at < samples.count; at += OFFPISTE_WIDTH) {
         const Block b = block_at(at, samples.count);
-        offpiste_real total = {}, command[3], before[3], columns[OFFPISTE_KNOWN_CONTROLS];
+        offpiste_real total = {}, command[3], before[3], four_steps[4 * OFFPISTE_KNOWN_CONTROLS];
         offpiste_values v = {};
         Reach reach = {};
         for (int k = 0; k < 3; k++) before[k] = all_lanes(s.control[k]);
@@ -170,9 +169,11 @@ static void roll_plan(int first, int last, const Model& m, const Situation& s, c
         for (int k = 0; k < 2; k++) reach.variance[k] = all_lanes(s.stray.start[k]);
         sample_terrain(m, s, state, spans, w, v);
         for (int t = 0; t < samples.steps; t++) {
-            load_rows(
-                samples.controls, b, (long)samples.steps * samples.columns, (long)t * samples.columns, samples.columns,
-                columns);
+            if (t % 4 == 0)
+                load_rows(
+                    samples.controls, b, (long)samples.steps * samples.columns, (long)t * samples.columns,
+                    (samples.steps - t < 4 ? samples.steps - t : 4) * samples.columns, four_steps);
+            const offpiste_real* columns = four_steps + t % 4 * samples.columns;
             for (int k = 0; k < samples.columns; k++)
                 if (m.control_rows[k] >= 0) w[m.control_rows[k]] = columns[k];
             for (int k = 0; k < 3; k++) command[k] = v.control[k] = columns[k];

@@ -36,9 +36,7 @@ OFFPISTE_INLINE Block block_at(int first, int batch) {
 }
 
 OFFPISTE_INLINE void load_rows(const float* rows, const Block& b, long apart, long at, int count, offpiste_real* out) {
-    const float* from[OFFPISTE_WIDTH];
-    for (int i = 0; i < OFFPISTE_WIDTH; i++) from[i] = rows + b.window[i] * apart + at;
-    to_lanes(from, count, out);
+    to_lanes([&](int i) { return rows + b.window[i] * apart + at; }, count, out);
 }
 
 OFFPISTE_INLINE void store_rows(const offpiste_real* in, const Block& b, long apart, long at, int count, float* rows) {

@@ -209,7 +209,6 @@ inline void read_nodes(const Scene& s, Real x, Real y, Real* channel) {
     const Whole low = whole(at_most(at_y, all_lanes((float)(g.rows - 2))));
     const Real u = at_x - real(left), v = at_y - real(low);
     Real mixed[OFFPISTE_WIDTH][CHANNELS / OFFPISTE_WIDTH];
-    const float* rows[OFFPISTE_WIDTH];
     for (int lane = 0; lane < OFFPISTE_WIDTH; lane++) {
         const uint8_t *near = g.nodes + CHANNELS * (low[lane] * g.columns + left[lane]), *far = near + CHANNELS * g.columns;
         for (int c = 0; c < CHANNELS; c += OFFPISTE_WIDTH) {
@@ -218,9 +217,8 @@ inline void read_nodes(const Scene& s, Real x, Real y, Real* channel) {
             const Real second = above + u[lane] * (real(far + CHANNELS + c) - above);
             mixed[lane][c / OFFPISTE_WIDTH] = (first + v[lane] * (second - first)) * (1.0f / 255);
         }
-        rows[lane] = (const float*)mixed[lane];
     }
-    to_lanes(rows, CHANNELS, channel);
+    to_lanes([&](int lane) { return (const float*)mixed[lane]; }, CHANNELS, channel);
 }
 
 /* Which rays meet a box (slab test, Kay and Kajiya, SIGGRAPH 1986); inverse: of their direction. */
