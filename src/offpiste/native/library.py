@@ -14,7 +14,7 @@ from offpiste.native.sources import digest
 
 logger = logging.getLogger(__name__)
 
-MISSING: Final = "offpiste was installed without a C++ compiler; install g++, then offpiste again"
+MISSING: Final = "there is no compiled library; install g++, then offpiste again"
 """Reason and remedy where there is no library."""
 
 SETS: Final = ("avx512", "avx2", "baseline")
