@@ -1,16 +1,14 @@
-"""Time, memory and outcome of `offpiste demo`, cold and warm and over seeds: `python benchmarks/demo.py --out demos`.
+"""Time, memory and outcome of `offpiste demo` over seeds: `python benchmarks/demo.py --out demos`.
 
-Cold runs have an empty cache of compiled kernels. Memory is the proportional set size of all its processes together,
+Memory is the proportional set size of all its processes together,
 sampled twice a second. Seeds that are there already are not run again.
 """
 
 import argparse
 import json
-import os
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +19,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("demos"))
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--cold", type=int, default=3, help="runs with an empty cache, of seed 0")
     parser.add_argument("--smoke", action="store_true", help="measure `offpiste --version` only, to try it")
     given = parser.parse_args(arguments)
     if given.smoke:
@@ -30,13 +27,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"{taken['seconds']:.1f} s, {taken['gib']:.2f} GiB")
         return
     given.out.mkdir(parents=True, exist_ok=True)
-    colds = [_cold(given.out / f"cold-{number}") for number in range(given.cold)]
-    warms = [run(given.out / f"seed-{seed}", seed) for seed in range(given.seeds)]
-    for name, runs in (("cold", colds), ("warm", warms)):
-        if runs:
-            times, most = [r["seconds"] for r in runs], max(r["gib"] for r in runs)
-            listed = ", ".join(f"{seconds:.0f}" for seconds in times)
-            print(f"{name}: median {statistics.median(times):.0f} s ({listed}), {most:.2f} GiB")
+    runs = [run(given.out / f"seed-{seed}", seed) for seed in range(given.seeds)]
+    times, most = [r["seconds"] for r in runs], max(r["gib"] for r in runs)
+    listed = ", ".join(f"{seconds:.0f}" for seconds in times)
+    print(f"median {statistics.median(times):.0f} s ({listed}), {most:.2f} GiB")
     print("| seed | b off by [m] | dc off by [m] | driven cost of b | of dc | finished |\n|---|---|---|---|---|---|")
     outcomes = [json.loads((given.out / f"seed-{seed}" / "demo.json").read_text()) for seed in range(given.seeds)]
     for seed, outcome in enumerate(outcomes):
@@ -51,25 +45,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"dc predicts nearer in {nearer} of {of}, and drives the course at less cost in {less}, at more in {more}")
 
 
-def _cold(out: Path) -> dict[str, float]:
-    with tempfile.TemporaryDirectory() as cache:
-        return run(out, 0, NUMBA_CACHE_DIR=cache)
-
-
-def run(out: Path, seed: int, **environment: str) -> dict[str, float]:
+def run(out: Path, seed: int) -> dict[str, float]:
     """Run a demo once; what it took."""
     path = out.with_suffix(".json")
     if not path.exists():
         command = [sys.executable, "-m", "offpiste", "demo", "--seed", str(seed), "--out", str(out)]
-        path.write_text(json.dumps(measured(command, Path(f"{out}.log"), **environment)))
+        path.write_text(json.dumps(measured(command, Path(f"{out}.log"))))
     return json.loads(path.read_text())
 
 
-def measured(command: list[str], log: Path, **environment: str) -> dict[str, float]:
+def measured(command: list[str], log: Path) -> dict[str, float]:
     """Run a command; return its time [s] and largest memory [GiB]."""
     began, most = time.perf_counter(), 0.0
     with log.open("w") as opened:
-        process = subprocess.Popen(command, env=os.environ | environment, stdout=opened, stderr=opened)
+        process = subprocess.Popen(command, stdout=opened, stderr=opened)
         while process.poll() is None:
             most = max(most, _memory(process.pid))
             time.sleep(0.5)

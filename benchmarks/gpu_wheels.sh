@@ -8,7 +8,7 @@ set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 folder=${1:?usage: bash benchmarks/gpu_wheels.sh WHEELS [PYTHON VERSION]}
 platforms=(manylinux_2_28_x86_64 manylinux_2_24_x86_64 manylinux_2_17_x86_64 manylinux2014_x86_64)
-there=(cuda-core jaxtyping msgpack numba opencv-python-headless pillow pytest pyyaml rich safetensors scipy torch tqdm)
+there=(cuda-core jaxtyping msgpack opencv-python-headless pillow pytest pyyaml rich safetensors scipy torch tqdm)
 packages=(apsw backports.zstd beartype docstring-parser donfig google-crc32c hypothesis lz4 mcap
   msgspec numcodecs rosbags ruamel.yaml tomlkit typeguard tyro zarr==3.1.6 zstandard)
 echo "${folder}: for a computer that has ${there[*]}"

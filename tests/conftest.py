@@ -11,8 +11,6 @@ from typing import Any
 if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core; libraries read this when they are first imported
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-# Machine code is kept between sessions, copies of datasets are not.
-os.environ.setdefault("NUMBA_CACHE_DIR", str(pathlib.Path(__file__).parents[1] / ".numba_cache"))
 os.environ["OFFPISTE_CACHE"] = (_cache := tempfile.TemporaryDirectory(prefix="offpiste-cache-")).name
 if "PYTEST_XDIST_WORKER" not in os.environ:  # workers inherit it
     os.environ["OFFPISTE_TEST_SESSION"] = (_session := tempfile.TemporaryDirectory(prefix="offpiste-tests-")).name
@@ -20,7 +18,6 @@ if "PYTEST_XDIST_WORKER" not in os.environ:  # workers inherit it
 # While the hook imports a module, Python recompiles its imports, so large packages are imported before.
 import cv2  # noqa: F401
 import jaxtyping
-import numba  # noqa: F401
 import scipy.ndimage
 import scipy.signal
 import scipy.spatial
@@ -55,7 +52,7 @@ WHOLE_PATHS = (
     "inspection/test_course.py", "inspection/test_draft", "inspection/test_gear.py", "inspection/test_inspect.py",
     "inspection/test_late_poses.py", "inspection/test_message", "inspection/test_pedals.py", "inspection/test_pose.py",
     "inspection/test_re", "inspection/test_s", "inspection/test_table",
-    "closed_loop/test_drive_course.py", "runtime/test_backing_out.py", "runtime/test_compiled_and_loaded.py",
+    "closed_loop/test_drive_course.py", "runtime/test_backing_out.py",
     "runtime/test_runtime.py", "runtime/test_settings.py", "simulation/test_recorder.py",
 )  # fmt: skip
 """Tests without shape checks, which take up to half of their time; other tests check the same code."""
@@ -74,7 +71,7 @@ SLOW = (
     "exports/test_onnx_files.py::", "fuzz/test_fuzz.py::test_forty_cases_of_a_new_seed",
     "live/test_live_faults.py::",
     "live/test_record.py::test_a_recording_in_several", "transport/test_zenoh.py::test_a_router_outlives",
-    "reproduction/test_reproduce.py", "runtime/test_compiled_and_loaded.py",
+    "reproduction/test_reproduce.py",
     "core/test_cluster.py::", "dataset/test_extract.py::test_logs_in_an_object_store",
     "test_bombs.py::", "test_poison.py::",
     "test_benchmarks.py::test_inspection", "test_benchmarks.py::test_the_pictures", "test_benchmarks.py::test_training",

@@ -59,14 +59,14 @@ def test_types_are_shipped() -> None:
 
 @pytest.mark.parametrize("module", ["offpiste", "offpiste.cli"])
 def test_importing_loads_nothing_heavy(module: str) -> None:
-    code = f"import sys, {module}; print(*{{'torch', 'numpy', 'scipy', 'numba', 'matplotlib'}} & set(sys.modules))"
+    code = f"import sys, {module}; print(*{{'torch', 'numpy', 'scipy', 'matplotlib'}} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
 
 
 def test_the_help_loads_nothing_heavy_and_names_every_command() -> None:
     code = (
         "import sys, atexit\n"
-        "atexit.register(lambda: print(*{'torch', 'numpy', 'scipy', 'numba'} & set(sys.modules), file=sys.stderr))\n"
+        "atexit.register(lambda: print(*{'torch', 'numpy', 'scipy'} & set(sys.modules), file=sys.stderr))\n"
         "from offpiste.cli import main; main(['--help'])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

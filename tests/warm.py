@@ -1,4 +1,4 @@
-"""Python processes that start in no time: forks of a server that has imported torch, Numba and offpiste."""
+"""Python processes that start in no time: forks of a server that has imported torch and offpiste."""
 
 import atexit
 import json

@@ -51,7 +51,7 @@ def run_page(page: Path, folder: Path) -> list[tuple[Step, str]]:
     command.chmod(0o755)
     path = os.pathsep.join(map(str, (folder, os.environ["PATH"])))
     environment = {**os.environ, "PATH": path, "COLUMNS": "120", "NO_COLOR": "1"}
-    # Commands find offpiste where this process does: Numba keeps what it compiles by the place of the source.
+    # Commands find offpiste where this process does.
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     namespace, done = {"__name__": "__main__"}, []
     with silent_library():

@@ -17,7 +17,7 @@ def test_a_command_of_an_extension_runs_and_stands_in_the_help(tmp_path: Path) -
     assert offpiste("digest", log, extension="digest").stdout.split("  ")[1] != digest
 
     listed = "".join(offpiste("--help", extension="digest").stdout.replace("│", "").split())
-    assert "warm-up,digest}" in listed, "commands that ship come first"
+    assert "merge,digest}" in listed, "commands that ship come first"
     assert "tellcopiesfromlook-alikes" in listed
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from offpiste.cli.entry import LIBRARIES
 
-for _threads in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ |= LIBRARIES
@@ -66,7 +66,7 @@ def _parsed() -> argparse.Namespace:
 
 
 def _warm_up(folder: Path, corpus: list) -> None:
-    """Import everything and load kernels before forking."""
+    """Import everything before forking."""
     torch.set_num_threads(1)
     seen: set[tuple[str, str]] = set()
     with contextlib.redirect_stdout(io.StringIO()):

@@ -770,7 +770,7 @@ def machine() -> dict[str, str]:
     described = {key.strip(): value.strip() for key, _, value in reversed(lines)}
     # A virtual machine's name says little: processors of one name compute with other instructions, and in other blocks.
     processor = [described.get(key, "") for key in ("model name", "cpu family", "model", "stepping", "cache size")]
-    packages = ("numpy", "scipy", "numba", "torch", "mujoco", "embreex", "opencv-python-headless")
+    packages = ("numpy", "scipy", "torch", "mujoco", "embreex", "opencv-python-headless")
     return {
         "processor": " ".join(processor) if any(processor) else platform.processor(),
         "instructions": hashlib.sha256(described.get("flags", "").encode()).hexdigest()[:16],

@@ -47,7 +47,6 @@ def test_every_module_imports_only_core_dependencies_at_its_top() -> None:
     assert strangers == {
         "dynamics/kernels/generate.py: sympy",  # which only who changes the physics runs
         "dynamics/kernels/tape.py: sympy",
-        "native/compilation.py: llvmlite",  # Numba's own compiler, never without it
     }
 
 

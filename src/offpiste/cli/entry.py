@@ -29,7 +29,7 @@ COMMANDS: Final[Registry[Callable[..., Command]]] = Registry("command", package=
 
 PIPELINE: Final = (
     "demo", "simulate", "inspect", "view", "fit-pca", "extract", "train", "evaluate", "calibrate", "reproduce", "drive",
-    "doctor", "live", "play", "export", "check", "merge", "warm-up",
+    "doctor", "live", "play", "export", "check", "merge",
 )  # fmt: skip
 """Order of commands in the help; others follow."""
 

@@ -24,7 +24,6 @@ from offpiste.dataset.map_snapshots import SnapshotSettings
 from offpiste.dataset.splits import write_drives
 from offpiste.dataset.store import drive_names, open_dataset
 from offpiste.demo.comparison import NAMES, closing_words, comparison_table, demo_picture, ending, predict
-from offpiste.demo.warm_up import rehearse
 from offpiste.inspection.extract import extract
 from offpiste.logs import read_drive
 from offpiste.report.figure import write_png
@@ -81,9 +80,6 @@ def run_first_minute(out: Path, settings: FirstMinuteSettings, *, processes: int
     """
     claim_folder(out, {"demo": asdict(settings)})
     place, processes = settings.place, at_a_time(processes)
-    if processes > 1 and not (out / "dataset.zarr").exists():
-        logger.info("0/3  Compile kernels that are not cached yet; the first time takes half a minute.")
-        rehearse(shipped("dc"), processes)
     logger.info(
         f"1/3  In a world unseen in training ({place.preset}, seed {place.seed}): a drive with camera and LiDAR, and"
         " a course\n     driven twice, with the visual model (dc) and with the blind model (b)."

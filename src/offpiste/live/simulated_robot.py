@@ -142,11 +142,6 @@ class SimulatedRobot:
         path = path_message(places, np.zeros(len(places)), stamp_ns(0.0), MAP)
         transport.publisher(COURSE, "nav_msgs/msg/Path", keep=True)(path)
 
-    def warm_up(self) -> None:
-        """Step the vehicle and every sensor once, so that kernels are compiled before the drive."""
-        *_, sample = drive(self.world, self._parameters, self.chosen.start, RemoteCommands(), steps=2)
-        self._sensing.warm_up(sample)
-
     def drive(self, seconds: float) -> Driving:
         """Drive to the end of the course, a failure, a time limit [s], or Ctrl-C; return it from the first throttle."""
         samples, stands, slow = list[VehicleSample](), 0.0, 0.0
@@ -211,7 +206,6 @@ def simulate_live(
     freeze_loaded_objects()
     with closing(ZenohTransport(robot)) as transport:
         simulated = SimulatedRobot(transport, made, chosen, sensors, world.seed, vehicle=vehicle, pose_noise=pose_noise)
-        simulated.warm_up()
         logger.info(f"the vehicle waits for commands; its course is on {COURSE}")
         driving = simulated.drive(seconds)
     result = scores_of(driving, chosen.course, seconds, parameters)

@@ -61,7 +61,7 @@ def test_with_codes_of_the_ground(channels, batch):
     assert max(errors(model, batch, 8, double=True).values()) < 1e-6
 
 
-def test_float32_over_a_second_is_as_close_as_the_numba_kernels_also_with_a_frozen_compensator():
+def test_float32_over_a_second_is_as_close_as_the_library_also_with_a_frozen_compensator():
     model = example(*CHANNELS["all"], codes=2, kind=Hybrid)
     assert max(errors(model, 20, 50).values()) < TOLERANCE
     model.compensator.requires_grad_(False)

@@ -1,4 +1,4 @@
-"""The generated C of the planner against the fused Numba kernel."""
+"""The generated C of the planner against the compiled library."""
 
 from dataclasses import replace
 
@@ -52,7 +52,7 @@ def test_four_lanes_read_the_ground_as_one_thread_does(place):
 
 
 def both(dynamics, at, controls, weights):
-    """Costs and states of the printed C, and of the Numba kernel."""
+    """Costs and states of the printed C, and of the compiled library."""
     model_state, codes = start(dynamics, at), encode_map(at.ground, dynamics.encoder)
     kernels = HostKernels(plan_text(dynamics, at.costs.table, at.caution))
     states = torch.empty(controls.shape[1], 6, len(controls))
@@ -61,7 +61,7 @@ def both(dynamics, at, controls, weights):
 
 
 @pytest.mark.parametrize(("kind", "vehicle"), KINDS)
-def test_costs_and_states_equal_those_of_the_numba_kernel(kind, vehicle):
+def test_costs_and_states_equal_those_of_the_library(kind, vehicle):
     at = situation(ground(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
     found, wanted = both(model(kind, vehicle), at, commands(70), CostWeights(lateral_limit=0.25, rollover=20.0))
     close = (found[1] - wanted[1]).abs().amax(dim=(1, 2)) < 2e-3
@@ -80,7 +80,7 @@ def added_by_caution(costs_of, dynamics, at):
 @pytest.mark.parametrize(
     ("kind", "vehicle", "lanes"), [(*KINDS[0], True), (*KINDS[1], False), (*KINDS[2], True), (*KINDS[3], False)]
 )
-def test_what_caution_adds_equals_what_the_numba_kernel_adds(kind, vehicle, lanes):
+def test_what_caution_adds_equals_what_the_library_adds(kind, vehicle, lanes):
     at = situation(ground(), hazards=NO_HAZARDS, state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
     dynamics, controls = model(kind, vehicle), commands(9 if lanes else 70)[:, :45]
     model_state, codes = start(dynamics, at), encode_map(at.ground, dynamics.encoder)

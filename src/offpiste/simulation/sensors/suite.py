@@ -148,14 +148,6 @@ class Sensing:
                 messages += self._points(lidar, samples, self._rngs[lidar.settings.name], stamp_ns(samples[0].time))
         return messages
 
-    def warm_up(self, sample: VehicleSample) -> None:
-        """Measure once with every sensor, so that kernels are compiled; measurements of the drive do not change."""
-        for camera in self._cameras:
-            self._image(camera, sample.pose, 0, 0)
-        for lidar in self._lidars:
-            still = [replace(sample, time=sample.time + row * DT) for row in range(_period(lidar) + 1)]
-            self._points(lidar, still, np.random.default_rng(0), 0)
-
     def pass_by(self, sample: VehicleSample) -> int:
         """Skip the measurements of a sample, and return their number."""
         self._past.append(sample)
