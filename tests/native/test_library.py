@@ -2,6 +2,8 @@
 
 import copy
 import logging
+import platform
+import shutil
 
 import numpy as np
 import pytest
@@ -29,6 +31,12 @@ def without_library(monkeypatch):
     monkeypatch.setattr("offpiste.planning.controls.library", lambda: None)
     monkeypatch.setattr("offpiste.planning.course.library", lambda: None)
     coverage.warn_of_eager_steps.cache_clear()
+
+
+@pytest.mark.skipif(not shutil.which("g++"), reason="no compiler")
+def test_the_installation_built_every_library():
+    built = library.SETS if platform.machine() == "x86_64" else ("baseline",)
+    assert [name for name in built if library._loaded(name) is None] == []
 
 
 def test_every_instruction_set_agrees_with_the_eager_model(monkeypatch):
