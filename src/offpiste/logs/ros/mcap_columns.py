@@ -21,6 +21,7 @@ from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
 from rosbags.typesys.store import Typestore
 
 from offpiste.core.errors import LogError
+from offpiste.core.limits import LARGEST
 from offpiste.logs.ros.bag_files import field_getter, head_reader, reported, typestore_of
 
 _HEAD: Final = 31
@@ -225,10 +226,15 @@ _Index = dict[int, Int[np.ndarray, "_ 2"]]
 
 
 def _chunks(storage: McapReader) -> Iterator[tuple[_Index, UInt8[np.ndarray, " n"]]]:
-    """Yield the message index and the content of each chunk; the next one is decompressed meanwhile."""
+    """Yield the message index and the content of each chunk; meanwhile the next is decompressed, if both fit."""
     following: tuple[_Index, Future[Any]] | None = None
+    size = 0
     with Path(str(storage.path)).open("rb") as file, ThreadPoolExecutor(1) as pool:
         for chunk in sorted(storage.chunks, key=lambda one: one.chunk_start_offset):
+            if following is not None and size + chunk.uncompressed_size > LARGEST:
+                yield following[0], following[1].result()
+                following = None
+            size = chunk.uncompressed_size
             file.seek(chunk.chunk_start_offset)
             record = file.read(chunk.chunk_length + chunk.message_index_length)
             ready = following
