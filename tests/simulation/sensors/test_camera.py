@@ -1,4 +1,5 @@
 from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -8,6 +9,7 @@ from offpiste.simulation.rendering.appearance import make_appearance
 from offpiste.simulation.rendering.scene import SURFACES, world_scene
 from offpiste.simulation.rendering.shading import FINE, GLOSS, HIGH, LOW
 from offpiste.simulation.sample import Pose
+from offpiste.simulation.sensors import camera as of_camera
 from offpiste.simulation.sensors.camera import MODEL, Camera, CameraSettings, pixel_rays, project_points, render
 from offpiste.simulation.sensors.lidar import Lidar, LidarSettings
 from offpiste.simulation.sensors.suite import mounted
@@ -99,3 +101,27 @@ def test_lidar_points_land_on_what_the_camera_sees_there():
     of_ground = clear & (scan.surface[seen] == GROUND) & (around[4] == GROUND)
     far = np.linalg.norm(in_camera[seen], axis=1)
     np.testing.assert_allclose(far[of_ground], distance[v, u][of_ground], rtol=0.01)
+
+
+def test_development_darkens_corners_and_adds_noise_that_depends_on_the_pixel_alone():
+    height, width, well, read = 90, 301, 8000.0, 0.002
+    light = np.full((height, width, 3), 0.5, np.float32)
+    light[0, :4, 0] = np.nan, np.inf, -np.inf, -1.0
+    gain, curve = np.ones(3 * width, np.float32), (np.arange(4096) // 16).astype(np.uint8)
+
+    def developed(vignetting, *cuts):
+        image = np.zeros((height, width, 3), np.uint8)
+        for first, last in pairwise(cuts):
+            of_camera._develop(first, last, height, width, light, gain, vignetting, well, read, curve, 7, image)
+        return image
+
+    image = developed(0.0, 0, height)
+    np.testing.assert_array_equal(image[0, :4, 0], [0, 255, 0, 0])
+    # EMVA 1288: the variance of shot noise grows with brightness.
+    brightness = image[1:] * (16 / 2047.5)
+    assert abs(brightness.mean() - 0.5 + 8 / 2047.5) < 1e-3
+    rounding = (16 / 2047.5) ** 2 / 12
+    assert abs(brightness.std() / np.sqrt(0.5 / well + read**2 + rounding) - 1) < 0.03
+    np.testing.assert_array_equal(image, developed(0.0, 0, 17, 60, height))
+    darker = developed(0.25, 0, height)[1:] * 16.0
+    assert abs(darker[-3:, -3:].mean() / darker[44:47, 149:152].mean() - 0.75) < 0.03
