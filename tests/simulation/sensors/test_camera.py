@@ -79,6 +79,17 @@ def test_borders_of_colour_are_found_where_the_calibration_projects_them():
     assert np.max(np.abs(errors)) < 1.0
 
 
+def test_a_world_may_have_any_order_in_memory():
+    world = scenes.world(slope=(0.05, 0.02))
+    model = replace(MODEL, width=31, height=17, matrix=np.array([[20.0, 0.0, 15.0], [0.0, 20.0, 8.0], [0.0, 0.0, 1.0]]))
+    camera = Camera(replace(SETTINGS, model=model))
+    images = []
+    for of in (world, replace(world, elevation=np.asfortranarray(world.elevation))):
+        scene = world_scene(of)
+        images.append(render(scene, make_appearance(of, scene, 0), camera, _pose(), 0))
+    np.testing.assert_array_equal(*images)
+
+
 def test_lidar_points_land_on_what_the_camera_sees_there():
     world = scenes.world(trees=scenes.tree(9.0, 1.0), bushes=scenes.bush(6.0, -2.0), slope=(0.05, 0.02))
     scene, pose = world_scene(world), _pose(z=0.5)

@@ -1,6 +1,7 @@
 """Arrays that the compiled physics works on."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from offpiste.native.sources import PACKAGE
 from offpiste.simulation.vehicle.parameters import RECORD
 from offpiste.simulation.vehicle.physics import STATE, WHEEL
-from simulation.drives import flat_world, vehicle_on
+from simulation.drives import drive, flat_world, vehicle_on
 
 TEXT = "".join(file.read_text() for file in sorted((PACKAGE / "native/cpp/simulation").glob("*.h")))
 
@@ -41,3 +42,11 @@ def test_grids_and_plants_that_would_be_read_beyond_their_ends_are_refused(of, n
     object.__setattr__(world if of == "world" else getattr(world, of), name, value)  # past the checks of its shapes
     with pytest.raises(ValueError, match=said):
         vehicle_on(world)
+
+
+def test_plants_may_have_any_order_in_memory():
+    world = flat_world(trees=[(5.0, 0.2, 0.15), (9.0, 3.0, 0.2)], bushes=[(2.0, 0.0, 1.0, 600.0), (4.0, 1.0, 1.0, 1e3)])
+    trees, bushes = (replace(plants, foot=np.asfortranarray(plants.foot)) for plants in (world.trees, world.bushes))
+    worlds = world, replace(world, trees=trees, bushes=bushes)
+    one, other = (drive(vehicle_on(of, speed=8.0), 1, (1, 0, 0))[-1] for of in worlds)
+    np.testing.assert_array_equal(one.position, other.position)

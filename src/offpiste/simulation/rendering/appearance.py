@@ -146,7 +146,7 @@ def make_appearance(world: World, scene: Scene, drive_seed: int) -> Appearance:
         x0=world.origin[0],
         y0=world.origin[1],
         resolution=world.resolution,
-        elevation=np.asarray(world.elevation, np.float32),
+        elevation=np.ascontiguousarray(world.elevation, np.float32),
         lattice=random_lattice(of_world),
         turn=turn,
         sun=sun.astype(np.float32),

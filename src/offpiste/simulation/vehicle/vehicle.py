@@ -237,9 +237,9 @@ def _grids(world: World) -> tuple[Any, ...]:
 
 def _plants(world: World) -> tuple[Any, ...]:
     trees, bushes = world.trees, world.bushes
-    trunks = np.column_stack((trees.foot[:, :2], trees.trunk_radius)).astype(float)
-    shrubs = np.column_stack((bushes.foot[:, :2], bushes.radius, bushes.drag)).astype(float)
-    return trunks, len(trunks), shrubs, len(shrubs)
+    trunks = np.column_stack((trees.foot[:, :2], trees.trunk_radius))
+    shrubs = np.column_stack((bushes.foot[:, :2], bushes.radius, bushes.drag))
+    return np.ascontiguousarray(trunks, float), len(trunks), np.ascontiguousarray(shrubs, float), len(shrubs)
 
 
 _NO_PLANTS: Final = np.zeros((0, 3)), 0, np.zeros((0, 4)), 0
