@@ -128,7 +128,7 @@ def simulate(settings: DriveSettings, out: Path) -> DriveSummary:
     """Record a drive in an .mcap file.
 
     Raises:
-        OffpisteError: a setting is out of range, or the file exists already.
+        OffpisteError: a setting is out of range, the file exists already, or the vehicle diverges.
     """
     check_settings(settings)
     if out.exists():

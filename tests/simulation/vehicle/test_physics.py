@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
+from offpiste.core.errors import OffpisteError
 from offpiste.native.sources import PACKAGE
-from offpiste.simulation.vehicle.parameters import RECORD
+from offpiste.simulation.vehicle.parameters import RECORD, load_vehicle
 from offpiste.simulation.vehicle.physics import STATE, WHEEL
 from simulation.drives import drive, flat_world, vehicle_on
 
@@ -50,3 +52,13 @@ def test_plants_may_have_any_order_in_memory():
     worlds = world, replace(world, trees=trees, bushes=bushes)
     one, other = (drive(vehicle_on(of, speed=8.0), 1, (1, 0, 0))[-1] for of in worlds)
     np.testing.assert_array_equal(one.position, other.position)
+
+
+def test_a_vehicle_that_diverges_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo logs there
+    vehicle = vehicle_on(speed=5.0)
+    vehicle.step(0.5, 0.0, 0.1)
+    with pytest.raises(OffpisteError, match=r"diverged after 0\.02 s"):
+        vehicle.step(0.5, 0.0, np.nan)
+    with pytest.raises(OffpisteError, match="diverged"):
+        vehicle_on(parameters=structs.replace(load_vehicle(), stop_stiffness=1e12, bump_travel=1e-3))

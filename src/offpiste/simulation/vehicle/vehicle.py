@@ -134,6 +134,9 @@ class VehicleSimulation:
             throttle, brake: 0..1.
             steer: -1..1, positive left.
             gear: 1, 0 or -1, shifted at a standstill (`GearBox`); None keeps it.
+
+        Raises:
+            OffpisteError: the physics diverged.
         """
         self._gears.shift(gear, moving=bool(np.hypot(*self._qvel[:2]) > STANDSTILL))
         self._command[:] = np.clip((throttle, brake, steer), (0, 0, -1), (1, 1, 1))
@@ -169,6 +172,9 @@ class VehicleSimulation:
             count, mj_step_address(), self._model._address, self._data._address, *self._grids, *plants, command,
             self._qpos, self._qvel, self._state, *self._forces, DT / SUBSTEPS, self._record,
         )  # fmt: skip
+        if self._data.warning.number.any():  # MuJoCo resets the state and carries on
+            what = f"the simulated vehicle diverged after {self._steps * DT:g} s"
+            raise OffpisteError(what, how="check its commands, and the numbers in its file")
 
     def _put(self, x: float, y: float, yaw: float) -> None:
         # Place on the plane through the ground under the wheels, then settle on the springs without moving sideways.
