@@ -27,7 +27,7 @@ Indices = Int[np.ndarray, " n"]
 _CASTER = (int, int, int, int)
 _first_hits = entry("first_hits", *_CASTER, int, int, "f4", "f4", "f4", "i4", "i4", "f4")
 _any_hits = entry("any_hits", *_CASTER, int, int, "f4", "f4", "b1")
-"""Entries of rays.h; the first arguments are addresses of function, scene and arguments, and the rays of a packet."""
+"""Entries of rays.h; `_CASTER`: addresses of function, scene and arguments, and number of rays in a packet."""
 
 _ADDRESS = ctypes.c_void_p
 _RAY16_NATIVE = 34

@@ -16,7 +16,7 @@ WHEEL: Final = np.dtype(
         ("slip_angle", float),  # [rad]
     ]
 )
-"""Ground under a wheel; `Wheel` in forces.h."""
+"""Ground under a wheel, its load and slip; `Wheel` in forces.h."""
 
 STATE: Final = np.dtype(
     [

@@ -14,7 +14,7 @@ struct Command {
     double gear;                   /* engaged: 1, 0, -1 */
 };
 
-/* What a wheel meets: WHEEL in simulation/vehicle/physics.py. */
+/* Ground under a wheel, its load and slip: WHEEL in simulation/vehicle/physics.py. */
 struct Wheel {
     Vector contact; /* [m] */
     Properties properties;

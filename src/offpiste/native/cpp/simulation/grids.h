@@ -8,7 +8,7 @@ struct Between {
     double fraction;
 };
 
-/* Place of a distance from the first of at least two nodes; not a number reads the border. */
+/* Place of a distance from the first of at least two nodes, clamped; NaN reads the border. */
 inline Between between(double distance, double resolution, int64_t nodes) {
     const double position = distance / resolution, last = (double)(nodes - 1);
     const double inside = position > 0.0 ? (position < last ? position : last) : 0.0;

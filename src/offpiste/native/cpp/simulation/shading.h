@@ -66,7 +66,7 @@ struct Hits {
     const float* normal;
 };
 
-/* Moves x into the limits; what is not a number becomes the lower one. */
+/* Clamps x to the limits; NaN becomes the lower one. */
 inline float limited(float x, float low, float high) {
     x = x > low ? x : low;
     return x < high ? x : high;
@@ -147,7 +147,7 @@ struct Cell {
     Real offset;
 };
 
-/* Moves a place, in cells, into the first period of the table; 0 for what is not a number. */
+/* Moves a place, in cells, into the first period of the table; 0 for NaN and infinity. */
 inline double wrapped(double place) {
     place -= PERIOD * std::floor(place / PERIOD);
     return place >= 0 ? place : 0.0;

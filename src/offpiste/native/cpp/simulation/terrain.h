@@ -27,8 +27,8 @@ OFFPISTE_ENTRY(slump)(float* elevation, int64_t rows, int64_t columns, double ri
         for (int side = -1; side <= 1; side += 2) {
             for (int64_t row = 0; row < rows; row++) {
                 const int64_t j = side < 0 ? row : rows - 1 - row;
-                float *here = elevation + j * columns, *beside = here + side * columns;
                 const bool inside = j + side >= 0 && j + side < rows;
+                float *here = elevation + j * columns, *beside = inside ? here + side * columns : nullptr;
                 for (int64_t column = 0; column < columns; column++) {
                     const int64_t i = side < 0 ? column : columns - 1 - column;
                     float lowest = here[i];
