@@ -96,8 +96,8 @@ def test_stamps_that_go_back_and_numbers_that_are_not_finite_stay(tmp_path: Path
 
 
 def test_arrays_and_sequences(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    definition = "float64[3] fixed\nfloat32[37] bulk\nint16[] loose\nuint8[] raw\ngeometry_msgs/Point[] points\n"
-    definition += "string mode\nbool armed\n"
+    definition = "float64[3] fixed\nfloat32[37] bulk\nint16[] loose\nuint8[] raw\nuint8[<=4] few\n"
+    definition += "geometry_msgs/Point[] points\nstring mode\nbool armed\n"
     lengths = [3, 5, 1]
     rows = [
         {
@@ -105,6 +105,7 @@ def test_arrays_and_sequences(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
             "bulk": np.zeros(37, np.float32),
             "loose": np.arange(length, dtype=np.int16),
             "raw": np.zeros(4, np.uint8),
+            "few": np.zeros(4, np.uint8),
             "points": [],
             "mode": "x",
             "armed": True,

@@ -170,7 +170,7 @@ def fields_in(types: Mapping[str, Any], name: str) -> Iterator[tuple[str, Nodety
     """
     for field, (kind, detail) in types[name][1] if name in types else ():
         (inner, element), size = ((kind, detail), 1) if kind in (Nodetype.BASE, Nodetype.NAME) else detail
-        yield field, kind, inner, element, size
+        yield field, kind, inner, element, 0 if kind == Nodetype.SEQUENCE else size
 
 
 def refuse_expansion(types: Mapping[str, Any], name: str, *, ros1: bool) -> None:
