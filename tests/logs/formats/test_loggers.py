@@ -8,6 +8,7 @@ import pytest
 from offpiste.core.errors import LogError
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.logs import open_log
+from offpiste.rig.channels import Clock
 
 RACELOGIC = """File created on 15/04/2023 at 10:12:13
 
@@ -104,3 +105,13 @@ def test_a_file_of_racelogic_has_degrees_to_the_east(tmp_path: Path, units: str,
     np.testing.assert_allclose(samples.values[0], [3124.2 / 60, -60.899 / 60, 0.0])
     np.testing.assert_allclose(np.diff(samples.time), 0.05, atol=1e-6)
     assert samples.values[-1, 2] == 59.0
+
+
+def test_columns_of_racecapture_have_their_whole_header_as_name(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    rows = "".join(f"{20 * row},{1425000000000 + 20 * row},10.5\n" for row in range(20))
+    path.write_text('"Interval"|"ms"|0|0|1,"Utc"|"ms"|0|0|1,"Speed"|"mph"|0|150|10\n' + rows)
+    log = open_log(path, clock=Clock(column='Utc|"ms"|0|0|1', unit="ms"))
+    samples = log.read("", ['Speed|"mph"|0|150|10'])
+    assert (samples.values[0, 0], len(samples.values)) == (10.5, 20)
+    np.testing.assert_allclose(samples.time[:2], [1425000000.0, 1425000000.02], atol=1e-6)

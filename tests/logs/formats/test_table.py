@@ -374,6 +374,31 @@ def test_words_and_numbers_of_gears(tmp_path: Path, cells: tuple[str, ...], code
     assert log.read("", ["gear"]).values[:5, 0].tolist() == list(codes)
 
 
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_word_that_is_no_gear_is_named(tmp_path: Path, ending: str) -> None:
+    way, path = ["forward", "reverse", "crawl", "forward"] * 5, tmp_path / f"a.{ending}"
+    columns = {"t": np.arange(20.0), "way": way, "place": ["here"] * 20}
+    if ending == "csv":
+        rows = zip(*columns.values(), strict=True)
+        path.write_text("\n".join(["t,way,place", *(",".join(map(str, row)) for row in rows)]) + "\n", "utf-8")
+    else:
+        pq.write_table(pa.table(columns), path)
+    log = TableLog(path)
+    assert log.topics[""].fields == ("t",)
+    what = "column 'way' holds words of gears, among which 'crawl' is not known"
+    assert log.warnings == (f"{what}: it is left out",)
+    with pytest.raises(LogError, match=what):
+        log.read("", ["way"])
+    with pytest.raises(LogError, match="column 'place' holds text, such as 'here', and no numbers"):
+        log.read("", ["place"])
+
+
+def test_names_of_groups_above_the_names_of_columns_are_left_out(tmp_path: Path) -> None:
+    log = table(tmp_path, "gps,gps,gps,imu\nt,x,y,ax\n" + "".join(f"{row},1,2,3\n" for row in range(5)))
+    assert log.topics[""].fields == ("t", "x", "y", "ax")
+    assert log.warnings == ("1 lines before the header are left out",)
+
+
 MOTEC = (
     '"Format","MoTeC CSV File",,,"Workbook","Test"\n"Venue","Quarry",,,"Worksheet",""\n"Vehicle","Buggy"\n'
     '"Sample Rate","50.000","Hz"\n\n"Time","Throttle Pos","Gear"\n"s","%",""\n'

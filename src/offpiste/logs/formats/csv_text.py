@@ -72,6 +72,14 @@ def are_gears(cells: pa.ChunkedArray) -> bool:
     return bool(letters) and None not in letters and len(there) < len(cells) and (not numbers or mixed)
 
 
+def unknown_words(cells: pa.ChunkedArray) -> list[str]:
+    """Return the unknown words in a column of gears; none in other columns."""
+    there = pc.unique(pc.utf8_trim_whitespace(cells.drop_null())).to_pylist()
+    words = [cell for cell in there if cell and number_of(cell) is None] if len(there) <= _MOST_GEARS else []
+    is_of_gears = not set(map(float, b"PRND")).isdisjoint(map(gear_of, words))
+    return [word for word in words if is_of_gears and gear_of(word) is None]
+
+
 def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Table, int]:
     """Read all columns as text, from which types and invalid cells are determined later.
 
@@ -92,7 +100,7 @@ def read_csv(path: Path, notes: list[str], units: dict[str, str]) -> tuple[pa.Ta
     if above:
         notes.append(f"{above} lines before the header are left out")
     header, *rows = lines[above:]
-    delimiter = " " if spaces else max(_SEPARATORS, key=re.sub('"[^"]*"', "", header).count)
+    delimiter = " " if spaces else _separator(header, rows[0])
     comma = delimiter == ";" and any(re.search(r"(^|;)\s*-?\d+,\d+\s*(;|$)", row) for row in rows)
     if delimiter != ",":
         decimals = ", decimals by ','" if comma else ""
@@ -171,6 +179,12 @@ def has_numbers(path: Path) -> bool:
         return False
 
 
+def _separator(header: str, row: str) -> str:
+    """Return the separator that is the most frequent in both lines, or else in the header, outside of quotes."""
+    unquoted, below = (re.sub('"[^"]*"', "", line) for line in (header, row))
+    return max(_SEPARATORS, key=lambda one: (min(unquoted.count(one), below.count(one)), unquoted.count(one)))
+
+
 def _as_many_as_cells(names: list[str], header: str, row: str, path: Path) -> list[str]:
     """Return the names above columns separated by spaces, which may have another separator.
 
@@ -197,8 +211,8 @@ def _cells(lines: Sequence[str], delimiter: str, path: Path) -> list[list[str]]:
 def _lines_above_header(table: Sequence[Sequence[str]]) -> int:
     """Return the number of lines before the header.
 
-    All cells of a header are text. All rows below it have as many cells and, except for units and descriptions, a
-    number.
+    All cells of a header are text, and different unless units follow. All rows below it have as many cells and, except
+    for units and descriptions, a number.
     """
     rows = [[cell.strip() for cell in cells] for cells in table]
     for above, names in enumerate(rows):
@@ -207,6 +221,8 @@ def _lines_above_header(table: Sequence[Sequence[str]]) -> int:
             continue
         numbers = [any(number_of(cell) is not None for cell in cells) for cells in below]
         words = 2 if below and _row_of_units(names, below[0]) else 1
+        if words == 1 and len(set(names)) < len(names):
+            continue
         if any(numbers) and all(numbers[words:]) and all(len(cells) == len(names) for cells in below[:-1]):
             return above  # the last row may be cut
     return 0

@@ -24,6 +24,7 @@ from offpiste.logs.formats.csv_text import (
     has_numbers,
     number_of,
     read_csv,
+    unknown_words,
     without_clock_face,
 )
 from offpiste.logs.log import LOG_FORMATS, Log, Samples, Topic, as_log_error
@@ -85,6 +86,7 @@ class TableLog(Log):
         if is_guessed and self.clock.unit != "s":
             notes.append(f"'{self._clock}' is read in {self.clock.unit}; clock.unit in the rig can say otherwise")
         self._unread = {name: self._why_unread(name) for name in names if name not in self._columns}
+        notes.extend(f"{why}: it is left out" for name, why in self._unread.items() if unknown_words(self._table[name]))
         self.warnings = tuple(notes)
 
     @staticmethod
@@ -119,6 +121,8 @@ class TableLog(Log):
 
     def _why_unread(self, name: str) -> str:
         """Return the reason why a column of text is not a field."""
+        if words := unknown_words(self._table[name]):
+            return f"column '{name}' holds words of gears, among which '{words[0][:40]}' is not known"
         text = next((cell for cell in self._first_cells(name) if number_of(cell) is None), "")
         return f"column '{name}' holds text, such as '{text[:40]}', and no numbers"
 
