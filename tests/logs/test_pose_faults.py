@@ -12,6 +12,7 @@ from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.window_starts import window_starts
 from offpiste.inspection.pose_samples import check_faults
 from offpiste.logs.drive import Drive, drive_from_log, read_drive
+from offpiste.logs.motion import across_jumps
 from offpiste.logs.poses import poses_from_drive
 from offpiste.rig.rig import load_rig
 
@@ -114,6 +115,21 @@ def test_a_hopeless_pose_is_said_to_be_and_broken_at_its_jumps() -> None:
     shaken = drive_of(1000 * (np.arange(len(TIME)) // 20 % 2))
     assert shaken.notes == drive.notes
     np.testing.assert_allclose(shaken.faults.breaks()[:2], [[TIME[19], TIME[20]], [TIME[39], TIME[40]]])
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_many_jumps_mark_the_times_beside_each(causal: bool) -> None:
+    drive = drive_of(1000 * (np.arange(len(TIME)) // 130 % 2))
+    at, window = np.sort(np.append(TIME, TIME + 0.007)), drive.rig.motion.window
+    marked, unknown = np.zeros((2, len(at)), bool)
+    for before, after in drive.faults.breaks():
+        marked |= (at >= after if causal else at > before - window / 2) & (at < after + window)
+        unknown |= (before < at) & (at < after)
+    assert 0 < unknown.sum() < marked.sum() < len(at)
+    np.testing.assert_array_equal(across_jumps(drive, at, causal=causal), marked)
+    poses = poses_from_drive(drive)
+    known = (at >= TIME[0]) & (at <= TIME[-1])
+    np.testing.assert_array_equal(np.isnan(poses.at(at)[known, 0, 0]), unknown[known])
 
 
 @pytest.mark.parametrize(

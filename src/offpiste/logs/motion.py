@@ -59,11 +59,11 @@ def across_jumps(drive: Drive, at: Float[np.ndarray, " N"], *, causal: bool = Fa
     Args:
         causal: for `Motion.state_causal` only, which later jumps do not change.
     """
-    across, window = np.zeros(len(at), bool), max(drive.rig.motion.window, 2 * DT)
-    for before, after in drive.faults.breaks():
-        # Targets use half a window to either side, causal states a whole one back.
-        across |= (at >= after if causal else at > before - window / 2) & (at < after + window)
-    return across
+    (before, after), window = drive.faults.breaks().T, max(drive.rig.motion.window, 2 * DT)
+    # Targets use half a window to either side, causal states a whole one back.
+    begin, side = (after, "right") if causal else (before - window / 2, "left")
+    begun = np.searchsorted(np.sort(begin), at, side=side)  # type: ignore[call-overload]
+    return np.asarray(begun > np.searchsorted(np.sort(after + window), at, side="right"))
 
 
 def driven_slope(

@@ -33,8 +33,8 @@ class Poses:
         """Return `world_from_body` at given times [s]; NaN outside the log and across gaps and jumps."""
         samples = (self.position.time, self.position.values, self.orientation.time, self.orientation.values)
         matrix = interpolated(time, *samples, self.max_gap)
-        for start, end in (*self.jumps, *self.unknown):
-            matrix[(start < time) & (time < end)] = np.nan
+        begin, end = np.sort(np.concatenate((self.jumps, self.unknown)), axis=0).T
+        matrix[np.searchsorted(begin, time) > np.searchsorted(end, time, side="right")] = np.nan
         return matrix
 
     def known(self, time: float) -> float:
