@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -10,12 +11,13 @@ import torch
 
 from factories import RIG, circle_rows, small_rig
 from offpiste.core.errors import OffpisteError, RunError
+from offpiste.core.limits import LARGEST_TEXT
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.evaluate import evaluate_models
-from offpiste.evaluation.evaluate_runs import evaluate_runs
+from offpiste.evaluation.evaluate_runs import _other_report, evaluate_runs
 from offpiste.evaluation.evaluated_windows import (
     BANDS,
     REVERSE,
@@ -156,3 +158,9 @@ def test_impossible_speeds_are_refused(wrong: float, dataset: Dataset, tmp_path:
         refuse_impossible(TrainConfig(min_speed=wrong))
     with pytest.raises(OffpisteError, match="--min-speed is"):
         evaluate_runs([tmp_path / "run"], dataset.path, tmp_path / "out", min_speed=wrong)
+
+
+def test_a_report_too_large_to_read_is_not_described(tmp_path: Path) -> None:
+    with (tmp_path / "metrics.json").open("wb") as file:
+        file.truncate(LARGEST_TEXT + 1)
+    assert _other_report(tmp_path, SimpleNamespace()) is None

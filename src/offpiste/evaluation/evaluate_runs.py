@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from offpiste.core.errors import OffpisteError, RunError
+from offpiste.core.errors import OffpisteError, RunError, TooLarge
 from offpiste.core.files import check_folder, unfinished
 from offpiste.core.limits import parsed, read_small
 from offpiste.core.shipped import named, run_folder
@@ -125,7 +125,7 @@ def _other_report(out: Path, metrics: Metrics) -> str | None:
     try:
         there = parsed(read_small(out / "metrics.json"))
         dataset, models = there["dataset"], ", ".join(dict.fromkeys(row["model"] for row in there["results"]))
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, TooLarge, ValueError, KeyError, TypeError):
         return None
     own = ", ".join(dict.fromkeys(row.model for row in metrics.results))
     return None if (dataset, models) == (metrics.dataset, own) else f"{models} on {dataset}"
