@@ -44,6 +44,16 @@ def test_the_compiled_pass_equals_the_reference(dtype, previous):
     assert torch.equal(wanted.nan_to_num(9), asked.nan_to_num(9))
 
 
+def test_the_compiled_pass_does_not_depend_on_the_default_type():
+    wanted, before = torch.linspace(-2, 2, 96).reshape(4, 8, 3), torch.get_default_dtype()
+    found = keep_within(CONTROL_LIMITS, 0.02, wanted)
+    torch.set_default_dtype(torch.float64)
+    try:
+        assert torch.equal(keep_within(CONTROL_LIMITS, 0.02, wanted), found)
+    finally:
+        torch.set_default_dtype(before)
+
+
 def test_shapes_that_do_not_fit_are_refused():
     jaxtyping.config.update("jaxtyping_disable", True)
     for shape, before in (((4, 3, 2), None), ((4, 3), None), ((4, 3, 3), (2,)), ((4, 3, 3), ())):

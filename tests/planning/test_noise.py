@@ -48,6 +48,20 @@ def test_the_library_draws_what_numpy_draws(shape, options, monkeypatch):
     np.testing.assert_allclose(found, wanted, atol=4e-6)
 
 
+def test_noise_does_not_depend_on_the_default_type():
+    found, before = drawn((40, 12, 2)), torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    try:
+        assert torch.equal(drawn((40, 12, 2)), found)
+    finally:
+        torch.set_default_dtype(before)
+
+
+def test_noise_without_a_period_is_refused():
+    with pytest.raises(ValueError, match="must be positive"):
+        drawn((4, 0, 2))
+
+
 def test_every_step_has_mean_0_and_variance_1_and_controls_are_independent():
     values = drawn((40_000, 16, 2))
     torch.testing.assert_close(values.mean(0), torch.zeros(16, 2).double(), atol=0.03, rtol=0)

@@ -114,7 +114,7 @@ def keep_within(
         return keep_within_stepwise(limits, dt, controls, previous)
     low, high, change = bounds(limits, dt, controls)
     first = torch.full_like(low, torch.nan) if previous is None else previous.to(low.dtype).clamp(low, high)
-    arrays, kept = Arrays(), torch.empty(controls.shape)
+    arrays, kept = Arrays(), controls.new_empty(controls.shape)
     given = _Bounds(*map(arrays.floats, (first, low, high, change)), *controls.shape, previous is None)
     call("keep_within", -(-len(controls) // CHUNK), given, controls.detach().contiguous(), kept)
     return kept

@@ -142,7 +142,7 @@ def fused_rollout(
     codes: Codes,
 ) -> tuple[Float[Tensor, " K"], Float[Tensor, "K T 6"]]:
     """Return the same costs, and the states after each step."""
-    states = torch.empty(*controls.shape[:2], 6)
+    states = controls.new_empty(*controls.shape[:2], 6)
     return _bind(dynamics, model_state, situation, weights, codes)(controls, states), states
 
 
@@ -154,7 +154,7 @@ def kernel_model_state(
     codes: Codes,
 ) -> ModelState:
     """Return the model state after at least one step of controls."""
-    after = torch.empty(1, len(controls), model_state.pack().shape[1])
+    after = controls.new_empty(1, len(controls), model_state.pack().shape[1])
     _bind(dynamics, model_state, situation, CostWeights(), codes)(controls[None], after)
     result = from_kernel_state(after[:, -1])
     recorded = torch.tensor([name in dynamics.vehicle.actuators for name in ACTUATORS])
@@ -178,7 +178,7 @@ def _bind(
         if controls.ndim != 3 or controls.shape[2] not in widths or (controls.dtype, controls.device) != wanted:
             result = f"{list(controls.shape)}, {controls.dtype} on {controls.device}"
             raise ValueError(f"controls are {result}; the kernel wants [K, T, {min(widths)}], float32 on the CPU")
-        own, costs = Arrays(), torch.empty(len(controls))
+        own, costs = Arrays(), controls.new_empty(len(controls))
         completed = complete(vehicle, controls, situation.gear)
         samples = _Samples(
             *completed.shape,

@@ -34,7 +34,7 @@ def coloured(
     Drawn in the frequency domain (Timmer & Koenig, 1995), so the spectrum over the period is exact; the mean, f = 0,
     has the power of the lowest frequency.
 
-    On the CPU the generator gives a seed alone: numbers come from a generator without state (`threefry`), and are the
+    On the CPU the generator gives only a seed: numbers come from a generator without state (`threefry`), and are the
     same on any number of threads.
 
     Args:
@@ -43,7 +43,7 @@ def coloured(
         highest: highest frequency drawn [1 / period]; None for all.
 
     Raises:
-        ValueError: the period is shorter than the steps.
+        ValueError: the period is shorter than the steps, or zero.
     """
     samples, steps, controls = shape
     if generator.device.type != "cpu":
@@ -54,7 +54,7 @@ def coloured(
     seed = int(torch.randint(2**62, (), generator=generator))
     if library() is None:
         return torch.from_numpy(draw_plainly(seed, deviation.numpy(), period, shape)).to(dtype)
-    noise, arrays = torch.empty(samples, steps, controls), Arrays()
+    noise, arrays = torch.empty(samples, steps, controls, dtype=torch.float32), Arrays()
     pointers = arrays.floats(deviation), arrays.floats(torch.from_numpy(_roots(period)))
     colour = _Colour(*pointers, len(deviation), period, samples, steps, controls, seed)
     call("draw_noise", -(-samples // CHUNK), colour, noise)
@@ -127,7 +127,7 @@ def coefficient_sizes(
     """Return the root mean square of each coefficient that `from_coefficients` draws (float64).
 
     Raises:
-        ValueError: the period is shorter than the steps.
+        ValueError: the period is shorter than the steps, or zero.
     """
     period = _checked(period, steps)
     power = spectrum(period, exponent, highest)
@@ -140,8 +140,8 @@ def coefficient_sizes(
 
 def _checked(period: int | None, steps: int) -> int:
     period = 2 * steps if period is None else period
-    if period < steps:
-        raise ValueError(f"the period of noise ({period}) must be at least the number of steps ({steps})")
+    if period < max(steps, 1):
+        raise ValueError(f"the period of noise ({period}) must be positive, and at least the number of steps ({steps})")
     return period
 
 
