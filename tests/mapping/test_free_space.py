@@ -131,6 +131,9 @@ def test_arrays_of_other_shapes_are_refused():
     for points, mask in ((np.zeros((3, 2)), np.zeros(3, bool)), (np.zeros((3, 3)), np.zeros(2, bool))):
         with pytest.raises(ValueError, match="left out"):
             inspect.unwrap(nearest_returns)(points, SENSOR, mask)
+    for sensor in (SENSOR[:2], SENSOR[None]):
+        with pytest.raises(ValueError, match="a sensor of"):
+            inspect.unwrap(nearest_returns)(np.zeros((3, 3)), sensor, np.zeros(3, bool))
 
 
 def test_settings_are_checked():
