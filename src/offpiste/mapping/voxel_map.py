@@ -113,8 +113,10 @@ def voxels_in(
 ) -> tuple[Int[np.ndarray, " N"], ...]:
     """Return row, column, level over the lowest voxel, and slot of all voxels where rows and columns cross."""
     occupied = voxels.heads[rows[:, None], columns, OCCUPIED]
-    j, i, level = np.nonzero(occupied[..., None] >> np.arange(LEVELS, dtype=np.int32) & 1)
-    return rows[j], columns[i], level, voxels.slots[rows[j], columns[i], level]
+    j, i = np.nonzero(occupied)
+    column, level = np.nonzero(occupied[j, i, None] >> np.arange(LEVELS, dtype=np.int32) & 1)
+    row, across = rows[j[column]], columns[i[column]]
+    return row, across, level, voxels.slots[row, across, level]
 
 
 def release(voxels: Voxels, slots: Int[np.ndarray, " N"]) -> None:
