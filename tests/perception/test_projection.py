@@ -108,6 +108,12 @@ def test_of_two_cameras_the_one_that_looks_at_the_point_is_taken():
     assert project(np.stack((points[2], wall)), views).view.tolist() == [-1, 1]
 
 
+@pytest.mark.filterwarnings("error")
+def test_points_that_are_not_finite_are_not_seen_and_warn_of_nothing():
+    points = np.array([[10.0, 0, 0], [np.nan, 0, 0], [np.inf, np.inf, 0], [1e308, -1e308, 1e308], [10.0, np.nan, 0]])
+    assert project(points, [view()]).view.tolist() == [0, -1, -1, -1, -1]
+
+
 def plain_pinhole(points: np.ndarray, pinhole: CameraModel) -> tuple[np.ndarray, np.ndarray]:
     matrix = pinhole.matrix
     ahead = np.flatnonzero(points[:, 2] > NEAREST)

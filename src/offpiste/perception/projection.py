@@ -80,6 +80,7 @@ class Projection:
         return result
 
 
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")  # of points that are not finite
 def project(
     points_world: Float[np.ndarray, "n 3"],
     views: Sequence[CameraView],
@@ -165,7 +166,7 @@ def occluded_points(
     window = _window(max(1, int(np.ceil(reach / cell))))
     rows, columns = window.shape
     width, height = (length // cell + 1 for length in size)
-    # A margin that nothing is in, so that no window leaves the z-buffer.
+    # An empty margin, so that no window leaves the z-buffer.
     nearest = np.full((height + rows - 1, width + columns - 1), np.inf)
     last = np.array([[width - 1], [height - 1]])
     column, row = np.clip(np.floor((pixels.T + 0.5) / cell).astype(np.int64), 0, last)
