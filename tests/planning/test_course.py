@@ -105,6 +105,12 @@ def test_a_path_of_two_points_and_hardly_any_cells():
     np.testing.assert_allclose(along_path(path, values, np.array([4.0, 6.0]), np.array([4.0]))[0, 1], [5.0, 2.0])
 
 
+def test_cells_of_a_single_column_have_their_own_nearest_points():
+    path, y = np.column_stack((np.zeros(81), np.linspace(0.0, 20.0, 81))), np.arange(0.0, 20.0, 0.5)
+    found = along_path(path, path[:, 1:].astype(np.float32), np.array([3.0]), y)
+    np.testing.assert_allclose(found[:, 0], np.column_stack((np.full(len(y), 3.0), y)))
+
+
 @pytest.mark.parametrize("nowhere", [np.nan, np.inf])
 def test_without_a_finite_distance_the_values_are_those_of_a_point_of_the_path(nowhere):
     values = np.array([[1.0], [2.0], [99.0]], np.float32)[:2]  # the number that follows in memory is known

@@ -50,7 +50,7 @@ def along_path(
     given = _Path(
         *map(address, (points, numbers, columns, rows)), *numbers.shape, len(x), len(y), BLOCK, NEAR, STRIDE,
         slack=STRIDE * float(np.linalg.norm(np.diff(path, axis=0), axis=1).max()),
-        resolution=float(x[1] - x[0]) if len(x) > 1 else 0.0,
+        resolution=max((float(axis[1] - axis[0]) for axis in (x, y) if len(axis) > 1), default=0.0),
     )  # fmt: skip
     call("fill_course", -(-len(y) // BLOCK), given, result)
     return result
