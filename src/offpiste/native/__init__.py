@@ -1,1 +1,1 @@
-"""Compiled loops on the CPU, their cache on disk, and kernels on GPUs."""
+"""The compiled library for CPUs, and kernels for GPUs."""

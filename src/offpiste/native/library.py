@@ -32,7 +32,7 @@ def library() -> ctypes.CDLL | None:
 
 @cache
 def instruction_set() -> str:
-    """Return the best one that processor and installation have: "avx512", "avx2" or "baseline"; "" for none."""
+    """Return the best set that processor and installation support: "avx512", "avx2" or "baseline"; "" for none."""
     baseline = _loaded("baseline")
     if baseline is None:
         return ""
@@ -62,9 +62,9 @@ def _text(loaded: ctypes.CDLL, name: str) -> str:
 
 
 def compiled(*types: Type, returns: type[int] | type[float] | None = None) -> Callable[..., Any]:
-    """Run a function as `offpiste_<name>` of the library, or as it is written where there is no library.
+    """Replace a function by `offpiste_<name>` of the library; without a library the function itself runs.
 
-    The function that is written stays as attribute `plain`.
+    The Python function is attribute `plain` of the result. Arguments are positional.
 
     Args:
         types: of the arguments; arrays must be contiguous, and None stands for no array.

@@ -112,9 +112,10 @@ def warm_up(
     *,
     spread: Spread | None = None,
 ) -> None:
-    """Drive along a straight line over synthetic flat ground for a second, so that all kernels are compiled.
+    """Drive along a straight line over synthetic flat ground for a second.
 
-    After an installation, the first plan of a `Runtime` with these arguments would otherwise wait for half a minute.
+    Otherwise the first plan of a `Runtime` with these arguments would wait for memory, and after an installation for
+    the compilation of kernels for a GPU and of added cost terms.
 
     Raises:
         PlanningError: as `Runtime`, or no plan can be made with these settings.
