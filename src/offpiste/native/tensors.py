@@ -14,6 +14,11 @@ CHUNK: Final = 32
 """Samples whose sums are computed together (`native/cpp/recorded.h`)."""
 
 
+def new_floats(*shape: int) -> Tensor:
+    """Return a tensor for results of the library, whatever torch's default type is."""
+    return torch.empty(shape, dtype=torch.float32)
+
+
 def call(name: str, count: int, *arguments: object, of: ctypes.CDLL | None = None) -> None:
     """Call an entry on parts 0 to `count`, spread over threads.
 

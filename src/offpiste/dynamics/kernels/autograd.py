@@ -18,7 +18,7 @@ from offpiste.dynamics.kernels.parity import APART, largest_difference
 from offpiste.dynamics.kernels.structures import Learning, Model, Record, model_of
 from offpiste.dynamics.torch_physics import drive_train
 from offpiste.native.library import MISSING, library
-from offpiste.native.tensors import CHUNK, Arrays, address, call
+from offpiste.native.tensors import CHUNK, Arrays, address, call, new_floats
 
 _agrees: WeakKeyDictionary[Dynamics, bool] = WeakKeyDictionary()
 """Whether the kernels agree with each model that was compared with them in this process."""
@@ -142,10 +142,10 @@ class Rollout(torch.autograd.Function):
         _, _, codes_wanted, *wanted = ctx.needs_input_grad[1:]
         chunks = -(-record.batch // CHUNK)
         # By chunk, so that sums do not depend on the number of threads.
-        start, codes = (torch.empty(shape) for shape in (ctx.shapes[0], ctx.shapes[2]))
-        learned = torch.empty(chunks, *ctx.shapes[1])
+        start, codes = (new_floats(*shape) for shape in (ctx.shapes[0], ctx.shapes[2]))
+        learned = new_floats(chunks, *ctx.shapes[1])
         matrices = [
-            torch.empty(chunks, *shape) if want else None for shape, want in zip(ctx.shapes[3:], wanted, strict=True)
+            new_floats(chunks, *shape) if want else None for shape, want in zip(ctx.shapes[3:], wanted, strict=True)
         ]
         learning = Learning()
         for k, matrix in enumerate(matrices):

@@ -16,7 +16,7 @@ from torch.nn.functional import pad
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder
 from offpiste.dynamics.kernels.coverage import uncovered_encoder
 from offpiste.native.library import library
-from offpiste.native.tensors import Arrays, call
+from offpiste.native.tensors import Arrays, call, new_floats
 
 CELLS: Final = 1024
 """Cells whose gradients are summed before those of others (`native/cpp/encoder.h`)."""
@@ -83,7 +83,7 @@ class _Encode(torch.autograd.Function):
         """Return codes [M, E]; `matrices`, which the encoder was made of, tie them to the graph."""
         arrays = Arrays()
         cells = _Cells(len(features), features.shape[1], arrays.floats(features), arrays.bytes(valid))
-        codes = torch.empty(len(features), encoder.size)
+        codes = new_floats(len(features), encoder.size)
         call("encode", -(-len(features) // CELLS), encoder, cells, codes)
         ctx.encoder, ctx.cells, ctx.arrays, ctx.shapes = encoder, cells, arrays, [m.shape for m in matrices]
         return codes
@@ -93,7 +93,7 @@ class _Encode(torch.autograd.Function):
     def backward(ctx: Any, bar: Tensor) -> tuple[Tensor | None, ...]:
         """Return the adjoints of the matrices."""
         chunks = -(-len(bar) // CELLS)
-        by_chunk = [torch.empty(chunks, *shape) for shape in ctx.shapes]
+        by_chunk = [new_floats(chunks, *shape) for shape in ctx.shapes]
         call("encode_back", chunks, ctx.encoder, ctx.cells, bar.contiguous(), *by_chunk)
         return None, None, None, *(adjoint.sum(dim=0) for adjoint in by_chunk)
 
@@ -116,7 +116,7 @@ class _Take(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, bar: Tensor) -> tuple[Tensor, None]:
         """Return the adjoint of the codes."""
-        codes_bar = torch.zeros(ctx.count, bar.shape[-1])
+        codes_bar = new_floats(ctx.count, bar.shape[-1]).zero_()
         cells = ctx.cells.flatten().long()
         call("add_by_cell", 1, bar.contiguous(), cells, len(cells), bar.shape[-1], codes_bar)
         return codes_bar, None

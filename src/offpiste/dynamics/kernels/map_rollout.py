@@ -18,7 +18,7 @@ from offpiste.dynamics.kernels.encoder import encoder_of
 from offpiste.dynamics.kernels.model_state import to_kernel_state
 from offpiste.dynamics.kernels.structures import model_of
 from offpiste.mapping.terrain_sampler import CellStack, MapTerrain
-from offpiste.native.tensors import CHUNK, Arrays, call
+from offpiste.native.tensors import CHUNK, Arrays, call, new_floats
 
 _Eight = c_float * 8
 
@@ -85,7 +85,7 @@ def rollout_on_maps(
         slope=arrays.bytes(maps.slope),
         features=arrays.bytes(maps.features),
     )
-    states = torch.empty(batch, steps, len(STATE))
-    actuators = torch.empty(batch, steps, len(ACTUATORS))
+    states = new_floats(batch, steps, len(STATE))
+    actuators = new_floats(batch, steps, len(ACTUATORS))
     call("forward_on_maps", -(-batch // CHUNK), model_of(dynamics), given, encoder, states, actuators)
     return Trajectory(states, actuators)
