@@ -774,6 +774,7 @@ def machine() -> dict[str, str]:
     return {
         "processor": " ".join(processor) if any(processor) else platform.processor(),
         "instructions": hashlib.sha256(described.get("flags", "").encode()).hexdigest()[:16],
+        "OpenBLAS": os.environ.get("OPENBLAS_CORETYPE", "of the processor"),
         "python": platform.python_version(),
         **{name: version(name) for name in packages},
     }
