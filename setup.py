@@ -11,16 +11,7 @@ from setuptools.command.build_ext import build_ext
 
 SOURCES = Path("src/offpiste/native/cpp")
 TREE = runpy.run_path("src/offpiste/native/sources.py")
-FLAGS = [
-    "-O3",
-    "-std=c++17",
-    "-fvisibility=hidden",
-    "-fno-math-errno",
-    "-fno-trapping-math",
-    "-Wno-psabi",
-    "-Wno-maybe-uninitialized",
-    "-Wno-uninitialized",
-]
+QUIET = ("-Wno-maybe-uninitialized", "-Wno-uninitialized")  # in headers of g++ for AVX-512
 SETS = ("avx512", "avx2", "baseline") if platform.machine() in ("x86_64", "AMD64") else ("baseline",)
 
 
@@ -47,7 +38,7 @@ def library(name: str) -> Extension:
         [source],
         depends=[str(path) for path in TREE["sources"]()],
         define_macros=[("OFFPISTE_SOURCES", f'"{TREE["digest"]()}"')],
-        extra_compile_args=FLAGS,
+        extra_compile_args=[*TREE["FLAGS"], *QUIET],
         optional=True,
     )
 

@@ -71,7 +71,7 @@ SLOW = (
     "exports/test_onnx_files.py::", "fuzz/test_fuzz.py::test_forty_cases_of_a_new_seed",
     "live/test_live_faults.py::",
     "live/test_record.py::test_a_recording_in_several", "transport/test_zenoh.py::test_a_router_outlives",
-    "reproduction/test_reproduce.py",
+    "native/test_compilers.py", "reproduction/test_reproduce.py",
     "core/test_cluster.py::", "dataset/test_extract.py::test_logs_in_an_object_store",
     "test_bombs.py::", "test_poison.py::",
     "test_benchmarks.py::test_inspection", "test_benchmarks.py::test_the_pictures", "test_benchmarks.py::test_training",

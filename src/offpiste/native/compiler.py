@@ -14,11 +14,9 @@ from typing import Final
 
 from offpiste.core.cache import cache_folder
 from offpiste.native.library import instruction_set, library
-from offpiste.native.sources import digest
+from offpiste.native.sources import FLAGS, digest
 
 logger = logging.getLogger(__name__)
-
-FLAGS: Final = ("-O3", "-std=c++17", "-shared", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-w")
 
 LONGEST: Final = 300.0
 """Longest time for a compilation [s]."""
@@ -62,6 +60,6 @@ def _compile(costs: str, path: Path) -> None:
         terms, built = Path(folder, "costs.h"), Path(folder, "plan.so")
         terms.write_text(costs)
         defined = (f'-DOFFPISTE_COSTS="{terms}"', "-DOFFPISTE_PLAN_ONLY")
-        command = [compiler, *FLAGS, *defined, str(source), "-o", str(built)]
+        command = [compiler, *FLAGS, "-shared", "-fPIC", "-w", *defined, str(source), "-o", str(built)]
         subprocess.run(command, check=True, capture_output=True, text=True, timeout=LONGEST)
         built.replace(path)  # at once, as another process may do the same

@@ -113,7 +113,8 @@ _C_TYPES: Final[dict[Any, Any]] = {int: ctypes.c_int64, float: ctypes.c_double, 
 def _bound(name: str, types: tuple[Type, ...], returns: type[int] | type[float] | None) -> Any:
     of = library()
     if of is None:
-        raise OffpisteError("the compiled library is missing, which this needs", how=MISSING)
+        what, _, how = MISSING.partition("; ")
+        raise OffpisteError(what, how=how)
     bound = getattr(of, f"offpiste_{name}")
     bound.argtypes = [_C_TYPES[kind] if isinstance(kind, type) else ctypes.c_void_p for kind in types]
     bound.restype = _C_TYPES[returns]

@@ -1,4 +1,4 @@
-"""Sources of the compiled library, and their digest, by which a stale library is found.
+"""Sources of the compiled library, their digest, by which a stale library is found, and flags of compilers.
 
 `setup.py` runs this file before anything is installed, so that it imports nothing else.
 """
@@ -7,6 +7,9 @@ import hashlib
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1]
+
+FLAGS = ("-O3", "-std=c++17", "-fvisibility=hidden", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi")
+"""Flags of g++ and clang++."""
 
 
 def sources() -> list[Path]:

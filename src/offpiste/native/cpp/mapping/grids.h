@@ -77,7 +77,7 @@ OFFPISTE_ENTRY(drop_overhangs)(
             }
             const offpiste_real height = load(heights + i), feature = load(features + i);
             const offpiste_whole is_ground = height <= lowest + float(reach);
-            store(features + i, is_ground & (feature <= float(limit)) ? height + feature : nothing);
+            store(features + i, (is_ground & (feature <= float(limit))) ? height + feature : nothing);
             store(heights + i, is_ground ? height : nothing);
         }
     }

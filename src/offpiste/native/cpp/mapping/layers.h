@@ -114,7 +114,7 @@ OFFPISTE_ENTRY(write_layers)(
             for (int64_t k = count - 1; k >= 0; k--) {
                 const float* there = feature_heights + offsets[2 * k] * stride + offsets[2 * k + 1];
                 const offpiste_real off = load(there) - height;
-                feature = (off <= most) & (off >= -most) ? offpiste_whole{} + int(k) : feature;
+                feature = ((off <= most) & (off >= -most)) ? offpiste_whole{} + int(k) : feature;
             }
             Found found = ground_at(g, j, i);
             if (any_lane(which > 0)) fill_ground(g, j, i, which, offsets, found);
