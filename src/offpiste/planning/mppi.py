@@ -120,13 +120,12 @@ def improve(
 def sample(controls: Float[Tensor, "T U"], settings: Settings, generator: Generator) -> Float[Tensor, "K T U"]:
     """Sample control sequences, before limits."""
     deviation = controls.new_tensor(settings.deviation)
-    rest = rest_of(settings, deviation)
-    samples = settings.noise((settings.samples, *controls.shape), generator, controls.dtype) * deviation
+    # As long as a sequence each, since torch is slow where inner axes are broadcast.
+    scale, rest = (row.repeat(len(controls), 1) for row in (deviation, rest_of(settings, deviation)))
+    samples = settings.noise((settings.samples, *controls.shape), generator, controls.dtype)
     for group in sample_groups(settings):
         part = samples[group.samples]
-        if group.factor != 1:
-            part *= group.factor
-        part += rest if group.fresh else controls
+        torch.addcmul(rest if group.fresh else controls, part, group.factor * scale, out=part)
     return samples
 
 
