@@ -128,7 +128,7 @@ class PlannerController:
 
 @dataclass(frozen=True)
 class Driving:
-    """A drive by the planner: states of the vehicle every `conventions.DT`, and commands in the same rows."""
+    """Record of a drive by the planner: vehicle states every `conventions.DT`, and the commands in the same rows."""
 
     samples: list[VehicleSample]
     controls: list[Controls]

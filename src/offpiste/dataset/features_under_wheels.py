@@ -28,7 +28,10 @@ def rows_from(start: Int[np.ndarray, " B"], count: int, device: torch.device) ->
 
 @dataclass(frozen=True)
 class Cells:
-    """Ground cells touched by the wheels of a drive, numbered by first visit; all but `index` by feature set."""
+    """Ground cells touched by the wheels during a drive, numbered in order of first contact.
+
+    All arrays except `index` have a leading feature-set axis.
+    """
 
     index: Int32[np.ndarray, "N 4"]  # cell under each wheel at each row; -1 outside the map
     features: Float16[np.ndarray, "D M F"]

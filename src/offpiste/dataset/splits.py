@@ -109,7 +109,7 @@ def parse_split(text: str) -> Split:
 
 
 def refuse_places_without_origin(split: Split, rig: Rig) -> None:
-    """Raise `DatasetError` if a split is by places and positions are relative to a geographic origin of each log."""
+    """Raise `DatasetError` for a split by places if each log has a geographic origin of its own."""
     position = rig.channels["position"]
     if split.kind == "places" and position.unit == GEOGRAPHIC and position.origin is None:
         what = f"positions in '{GEOGRAPHIC}' have an origin of each log, so that one place would be in several parts"

@@ -23,7 +23,7 @@ class ConstantMotion(Dynamics):
     reads_terrain = False
 
     def stepper(self) -> Step:
-        """Integrate the pose."""
+        """Return a step function that integrates the pose at constant velocity and turn rate."""
 
         def step(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
             return replace(model_state, state=_integrated(model_state.state, model_state.state[:, 3:]))
@@ -52,7 +52,7 @@ class Kinematic(Dynamics):
         self.actuators = Actuators(vehicle)
 
     def stepper(self) -> Step:
-        """Integrate the pose along the steered arc."""
+        """Return a step function that integrates the pose along the steering arc."""
         lags = self.actuators.constants()
 
         def step(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
@@ -87,7 +87,7 @@ class Recurrent(Dynamics):
         return replace(begun, recurrent=torch.cat((own, begun.recurrent), dim=-1))
 
     def stepper(self) -> Step:
-        """Integrate the predicted accelerations and the pose."""
+        """Return a step function that integrates the predicted accelerations and the pose."""
         lags = self.actuators.constants()
         sizes = self.network.state_size, self.actuators.recurrent_size
 

@@ -15,7 +15,7 @@ Scalar = Any
 
 
 class Elementary(NamedTuple):
-    """Elementary functions of the physics."""
+    """Elementary math functions used by the vehicle model."""
 
     sin: Callable[[Scalar], Scalar]
     cos: Callable[[Scalar], Scalar]

@@ -189,7 +189,12 @@ def errors_of_models(
 def prediction_errors(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " n"], *, weights: Float[Tensor, " 5"], **settings: Any
 ) -> Errors:
-    """Compute the errors of one model; `weights` of the loss, `settings` as for `errors_of_models`."""
+    """Compute the prediction errors of one model.
+
+    Args:
+        weights: weights of the loss's components.
+        settings: keyword arguments of `errors_of_models`.
+    """
     return errors_of_models([(dynamics, weights)], windows, index, **settings)[0]
 
 

@@ -28,10 +28,10 @@ WIDTH: Final = 118
 
 
 def model_header(dynamics: Dynamics, about: str) -> str:
-    """Return the C header of a model: step, ground, start, encoder and weights.
+    """Return the C header of a model: code of step, ground, start and encoder, if any, and the weights.
 
     Args:
-        about: comment at the top.
+        about: text of the comment at the top.
     """
     parts = [step_text(dynamics), shipped_text("terrain.h"), shipped_text("ground.h"), start_text(dynamics)]
     if dynamics.encoder is not None:

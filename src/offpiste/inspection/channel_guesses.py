@@ -148,13 +148,13 @@ DOWN: Final = "px4_msgs/"
 
 @dataclass(frozen=True)
 class Guess:
-    """A channel and its possible source.
+    """Candidate source of a channel.
 
     Attributes:
         unit: as stated by the log (`offpiste.rig.labels`), or "".
-        rank: distance of the name from the channel's own; 0 is best.
+        rank: distance between the source's name and the channel's name; 0 is the best match.
         asked_for: True if the topic's type or name, or a field name, marks a command.
-        in_hand: True if the motion shows that an angle is the steering wheel's.
+        in_hand: whether the angle appears to be a steering-wheel angle, judging from the motion.
     """
 
     channel: str

@@ -149,7 +149,10 @@ def _braked(drive: Drive, path: DrivenPath) -> Bool[np.ndarray, " n"]:
 
 
 def _driven(within: Bool[np.ndarray, " n"], path: DrivenPath) -> bool:
-    """Return True if a run has rows at some speed."""
+    """Return whether a run has at least 4 rows and its mean speed exceeds the driving threshold.
+
+    The threshold is 2 `MOVING`, or the share `_CRUISE` of the cruising speed if that is higher.
+    """
     return bool(within.sum() >= 4 and path.speed[within].mean() > max(2 * MOVING, _CRUISE * path.cruise))
 
 

@@ -180,7 +180,10 @@ def no_pose(log: Log) -> LogError:
 
 
 def _half_of_a_pose(log: Log) -> str:
-    """Return the available part of a pose as text; "" without one or if it is constant."""
+    """Describe the pose component that was found where the other is missing.
+
+    Return "" if both or neither was found; a constant component does not count as found.
+    """
     found = {g.channel: g for g in reversed(guess_channels(log)) if g.channel in POSE and varies(field_values(log, g))}
     place, heading = found.get("position"), found.get("orientation") or found.get("yaw")
     if (half := place or heading) is None or (place and heading):

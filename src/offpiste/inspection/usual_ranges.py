@@ -45,7 +45,7 @@ def held_range(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
 def seen_range(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
     """Return the range of a pedal in this drive, from rest to the strongest sustained press.
 
-    Rare values beyond the rest are ignored.
+    Outliers beyond the rest position are ignored, up to 0.5% of the values.
     """
     (low, high), (least, most) = held_range(values), np.percentile(values, (0.5, 99.5))
     least, most = (low, float(most)) if rests_high(values) else (float(least), high)

@@ -134,7 +134,10 @@ def turn_rate_name(drive: Drive) -> str:
 
 
 def fit_turn_rate(drive: Drive, path: DrivenPath) -> FrameFit | None:
-    """Fit the recorded yaw rate to the heading's derivative; None without a recorded yaw rate or enough turns."""
+    """Fit the recorded yaw rate to the heading's derivative.
+
+    Return None where no yaw rate is recorded or the vehicle turns too little.
+    """
     name = turn_rate_name(drive)
     if name not in drive.channels or np.nanstd(path.yaw_rate) < TURNING:
         return None

@@ -240,7 +240,7 @@ def pack_sensors(sensors: Sensors) -> bytes:
 
 
 def sensors_from(values: Values, rig: Rig) -> Sensors:
-    """Restore calibrations and mountings, with the rig's entries of these sensors."""
+    """Rebuild the sensors from stored calibrations and mountings and their entries of the rig."""
     cameras = {}
     for name, given in values["cameras"].items():
         model = CameraModel(**given["model"] | {"distortion": tuple(given["model"]["distortion"])})

@@ -218,7 +218,10 @@ class Supervisor:
 
 
 def plan_message(prediction: Prediction, stamp_ns: int, frame: str, layers: TerrainLayers | None) -> Any:
-    """Return a nav_msgs/Path of a prediction on the ground; unknown heights are interpolated, and 0 without any."""
+    """Return the predicted trajectory on the ground as a nav_msgs/Path.
+
+    Unknown heights are interpolated, or set to 0 if none is known.
+    """
     places = prediction.state[::_EVERY, :3]
     height = np.full(len(places), np.nan) if layers is None else ground_height(layers, places[:, :2])
     known = np.flatnonzero(np.isfinite(height))

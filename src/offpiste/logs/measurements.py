@@ -144,7 +144,7 @@ def _pixels_of(data: UInt8[np.ndarray, " n"]) -> int:
 
 
 def in_eight_bits(pixels: Pixels, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
-    """Convert RGB of 16 bits to 8, by the bit depth of the rig so that all images are scaled equally."""
+    """Convert a 16-bit RGB image to 8 bits, by the bit depth of the rig so that all images are scaled alike."""
     if pixels.dtype == np.uint8:
         return np.asarray(pixels, np.uint8)
     bits, highest, key = camera.source.bits, int(pixels.max(initial=0)), f"cameras.{camera.name}.bits"

@@ -45,7 +45,7 @@ class FramePair(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Name of its topic."""
+        """Name of the pair's own topic: the recorded topic and its frames."""
         parent, child = self.parent or _UNNAMED, self.child or _UNNAMED
         return f"{self.topic} {parent} -> {child}" if self.child else f"{self.topic} @ {parent}"
 

@@ -329,7 +329,7 @@ class VoxelMap:
 
     @property
     def origin(self) -> Float[np.ndarray, " 2"]:
-        """World position x, y of the lowest cell's centre [m]."""
+        """Centre of the cell with the lowest x and y, in the world frame [m]."""
         return (self.low + 0.5) * self.settings.size
 
     @property

@@ -46,7 +46,7 @@ class Kernels(Protocol):
 
 
 def lanes_of(text: str) -> int:
-    """Return OFFPISTE_LANES of a source text (`dynamics/header/lanes.h`)."""
+    """Return the threads per item, OFFPISTE_LANES in a source text (`dynamics/header/lanes.h`); 1 if not defined."""
     return max(map(int, re.findall(r"^#define OFFPISTE_LANES (\d+)", text, re.MULTILINE)), default=1)
 
 

@@ -26,7 +26,7 @@ class FeatureExtractor:
 
     @property
     def channels(self) -> int:
-        """Number of features of a patch."""
+        """Number of features per patch."""
         return self.pca.components
 
     @property

@@ -126,7 +126,7 @@ class DevicePlanner:
         self, controls: Float[Tensor, "T U"], model_state: ModelState, situation: Situation, weights: CostWeights,
         codes: Codes, *, previous: Float[Tensor, " U"] | None = None,
     ) -> None:  # fmt: skip
-        """Copy the inputs of a plan to the device, except maps whose tensors are unchanged since the last call."""
+        """Copy the inputs of planning to the device; skip maps whose tensors have not changed since the last call."""
         packed = packed_situation(self.dynamics, model_state, situation, weights, codes)
         maps = packed_maps(situation, codes, torch.device("cpu"))
         buffers = self._buffers_for(controls, packed, maps)

@@ -83,7 +83,7 @@ class Plan:
 
     @property
     def cost(self) -> float:
-        """Weighted mean of the costs of the samples."""
+        """Mean cost of the samples by their weights; samples of weight 0 do not count, even if not finite."""
         return float((self.weights * self.costs.where(self.weights > 0, 0.0)).sum())
 
 

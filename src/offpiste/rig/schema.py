@@ -1,4 +1,7 @@
-"""Reading of rigs by the types of their entries: bounds of numbers, patterns of names, and errors with full keys."""
+"""Parsing and validation of rig files by the types of their entries.
+
+The types set bounds of numbers and patterns of names; errors state the full key of the faulty entry.
+"""
 
 import copy
 import math

@@ -40,7 +40,12 @@ class Mounting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     looks: Literal["", "forward", "left", "back", "right"] = ""
 
     def matrix(self, *, optical: bool = False) -> Float[np.ndarray, "4 4"]:
-        """Return `body_from_sensor`; `optical` applies `looks` to a camera (z forward, x right, y down)."""
+        """Return the 4 x 4 transform `body_from_sensor`.
+
+        Args:
+            optical: whether a sensor mounted by `looks` has the axes of a camera (z forward, x right, y down); without
+                effect on an `orientation`.
+        """
         from offpiste.core.geometry import rotation_from_quaternion
 
         matrix = np.eye(4)

@@ -12,7 +12,7 @@ MOST_CODES = 256
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights of the loss's components, in units of the kinematic bicycle's mean square error."""
+    """Weights of the loss's components, whose units are the mean square errors of the kinematic bicycle."""
 
     position: float = 1.0
     yaw: float = 1.0

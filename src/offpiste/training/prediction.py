@@ -188,10 +188,10 @@ class PathTerrain:
 def on_map(
     dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " B"], batch: Batch
 ) -> tuple[Batch, TerrainSource]:
-    """Return an encoded batch and the source of the ground ahead as a planner reads it: the map at the window's start.
+    """Return the encoded batch and the terrain source available to a planner.
 
-    Without any map, this is the slope of the driven path. The ground under the wheels before the start is read from the
-    map as well: hindsight would know more.
+    The source is the map at the window's start, or the slope of the driven path without maps. With a map, terrain
+    before the start is read from it too, so that nothing seen later is used.
 
     Raises:
         DatasetError: a drive has no map although the dataset has features or other maps, or a window starts without a
@@ -215,7 +215,7 @@ def on_map(
 
 
 def with_past_on(source: TerrainSource, batch: Batch) -> Batch:
-    """Return a batch whose ground before the start is read from a terrain source."""
+    """Return the batch with its terrain before the start sampled from `source`."""
     past = [source.at(0, state) for state in batch.history.state.unbind(dim=1)]
     rows = Terrain(*(torch.stack(parts, dim=1) for parts in zip(*(vars(t).values() for t in past), strict=True)))
     return replace(batch, history=replace(batch.history, terrain=rows))

@@ -190,11 +190,11 @@ def area_under_curve(score: Float[np.ndarray, " N"], positive: Bool[np.ndarray, 
 
 @dataclass
 class SpreadReport:
-    """Calibration of the spreads of runs.
+    """Calibration of predicted uncertainty.
 
     Attributes:
-        rows: of the table.
-        within: by run, from `calibration_rows`.
+        rows: rows of the table.
+        within: arrays of `calibration_rows` by the name of the run.
     """
 
     rows: list[CalibrationRow] = field(default_factory=list)

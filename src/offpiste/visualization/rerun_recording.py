@@ -205,7 +205,7 @@ class Recorder:
         self._stream.log("world/scan", self._rr.Points3D(points, colors=shade, radii=0.04))
 
     def _has_news(self, layers: TerrainLayers, tile: Tile) -> bool:
-        """Whether clearly more cells are known or were seen from nearby than when the tile was last written."""
+        """Return whether the tile has gained enough known or closely observed cells since it was last written."""
         count = int(layers.known[tile.cells].sum())
         near = layers.distance[tile.cells][layers.valid[tile.cells]]
         seen = float((1 / np.maximum(near, 2.0)).sum())

@@ -81,12 +81,12 @@ def view_log(
     """Write sensors.png, overlay.png, features.png (with features), map.png, map-near.png, and drive.rrd.
 
     Args:
-        extractor: computes the features of images.
-        stretch: first and last second after the first pose [s].
-        rrd: whether to write a recording; ignored with a message without its package.
+        extractor: extractor of image features; None for none.
+        stretch: start and end time after the first pose [s].
+        rrd: whether to write drive.rrd; skipped with a message where rerun-sdk is missing.
 
     Returns:
-        Paths of the files, each written whole.
+        Paths of the files written, each atomically.
 
     Raises:
         LogError, RigError: the interval has no data that can be viewed with this rig.

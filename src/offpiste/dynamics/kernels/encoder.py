@@ -1,6 +1,6 @@
-"""Codes of terrain features by the compiled library, with gradients: cells in, codes out, nothing kept in between.
+"""Differentiable encoder of terrain features in the compiled library.
 
-The adjoint computes the hidden layers again, which is cheaper than to keep them.
+No activations are stored: the backward pass recomputes the hidden layers, which is cheaper than storing them.
 """
 
 from collections.abc import Sequence
@@ -49,7 +49,10 @@ def supports_encoder(encoder: FeatureEncoder, features: Tensor) -> bool:
 def encode_cells(
     encoder: Compressor, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]
 ) -> Float[Tensor, "M E"]:
-    """`encoder(features, valid)`, several times as fast; gradients reach the encoder's weights."""
+    """Evaluate `encoder(features, valid)` with the compiled library, several times as fast.
+
+    Differentiable with respect to the encoder's weights.
+    """
     matrices = _matrices(encoder)
     return _Encode.apply(encoder_of(encoder, matrices), features, valid, *matrices)  # type: ignore[no-untyped-call, no-any-return]
 

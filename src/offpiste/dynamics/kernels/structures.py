@@ -1,4 +1,4 @@
-"""Structures of the compiled library (`native/cpp/model.h`, `recorded.h`) and models as it takes them."""
+"""ctypes structures of the compiled library (`native/cpp/model.h`, `recorded.h`), and conversion of models to them."""
 
 from collections.abc import Sequence
 from ctypes import Structure, c_int, c_void_p

@@ -272,5 +272,5 @@ def _rows(data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: int
 
 
 def _numbers_at(rows: UInt8[np.ndarray, "m k"], at: int, kind: str) -> np.ndarray:
-    """Return the numbers of a type at a position of each row of bytes."""
+    """Decode the value of type `kind` at byte offset `at` in each row."""
     return np.ascontiguousarray(rows[:, at : at + int(kind[1])]).view(f"<{kind}")[:, 0]

@@ -109,7 +109,10 @@ def _features_of_means(
 
 
 def opponent_planes(images: Float[Tensor, "B 3 h w"]) -> Float[Tensor, "B 3 h w"]:
-    """Return log brightness, and log ratios of red to green and blue to both, which are invariant to exposure."""
+    """Return log brightness and two log colour ratios.
+
+    The ratios are red to green, and blue to the geometric mean of red and green. They do not depend on exposure.
+    """
     red, green, blue = torch.log(images + _DARKEST).unbind(1)
     return torch.stack(((red + green + blue) / 3, red - green, blue - (red + green) / 2), dim=1)
 
