@@ -46,7 +46,7 @@ def wait_for_sensors(part: Part, planner: Planner) -> SensorSetup | None:
 
 
 def load_kernels(part: Part, planner: Planner, device: str = "cpu") -> None:
-    """Drive for a second over synthetic ground, planning on a device, so that kernels are compiled in time."""
+    """Drive for a second over synthetic ground, planning on a device, so that the first plan is made in time."""
     part.report(LOADING)
     rig, still = part.rig, np.eye(4)
     still[2, 3] = 1.5

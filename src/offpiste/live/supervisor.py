@@ -45,7 +45,7 @@ _KILLED: Final = 15.0
 """Time without a sign of life after which a process is restarted [s]; `_SOONER` has shorter ones."""
 _SOONER: Final = {"control": 5.0, "watchdog": 5.0}
 _LOADS: Final = 600.0
-"""The same for a process that compiles its kernels or has not begun [s]."""
+"""The same for a process that is loading its kernels or has not begun [s]."""
 _SAY: Final = 1.0
 """Minimum time between logged states of one process [s]."""
 _FRAME: Final = "map"

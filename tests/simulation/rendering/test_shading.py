@@ -178,12 +178,12 @@ def test_what_is_no_hit_stays_inside_the_arrays(bad):
     surface = rng.integers(-128, 127, 300).astype(np.int8)
     surface[:100] = np.arange(100) % len(SURFACES)
     item = rng.integers(-(2**31), 2**31, 300).astype(np.int32)
+    places, out = np.arange(300, dtype=np.int32), np.zeros((300, 3), np.float32)
     for name, array in (("rays", rays), ("distance", hits.distance), ("normal", hits.normal)):
         bent = {"rays": rays, "distance": hits.distance, "normal": hits.normal} | {name: np.full_like(array, bad)}
-        out = np.zeros((300, 3), np.float32)
         wrong = Hits(bent["distance"], surface, item, bent["normal"])
-        s.shade_rays(*scene, origin, bent["rays"], wrong, np.arange(300, dtype=np.int32), out)
-        s.shade_rays(*scene, np.full(3, bad), rays, hits, np.arange(300, dtype=np.int32), out)
+        s.shade_rays(*scene, origin, bent["rays"], wrong, places, out)
+    s.shade_rays(*scene, np.full(3, bad), rays, hits, places, out)
 
 
 def test_wrong_shapes_and_places_are_refused():

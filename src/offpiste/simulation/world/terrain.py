@@ -9,6 +9,9 @@ from offpiste.native.library import entry
 from offpiste.simulation.world.grids import Axis, Grid, Line, smooth_noise, smooth_step
 from offpiste.simulation.world.world import WorldPreset
 
+_lower_to_nearest = entry("lower_to_nearest", "f8", "i8", int, "f8", "f8", int, "f8")
+_slump = entry("slump", "f4", int, int, float)
+
 SPACING = 0.5
 """Spacing of the points of a centre line [m]."""
 MARGIN = 15.0
@@ -60,9 +63,6 @@ def trail_distance_grid(trails: tuple[Line, ...], x: Axis, y: Axis) -> Grid:
     ends = [np.searchsorted(axis, points[:, k] + reach) for k, axis in enumerate((x, y)) for reach in (-NEAR, NEAR)]
     _lower_to_nearest(points, np.stack(ends, axis=1), len(points), x, y, len(x), square)
     return np.sqrt(square).astype(np.float32)
-
-
-_lower_to_nearest = entry("lower_to_nearest", "f8", "i8", int, "f8", "f8", int, "f8")
 
 
 def resample(loop: Float[np.ndarray, "n 2"], spacing: float) -> Float[np.ndarray, "m 2"]:
@@ -179,6 +179,3 @@ def _trail_bed(smoothed: Grid, trails: tuple[Line, ...], x0: float, y0: float, s
 
 def _bump(distance: Grid, at: float, width: float) -> Grid:
     return np.exp(np.float32(-0.5) * ((distance - np.float32(at)) / np.float32(width)) ** 2)
-
-
-_slump = entry("slump", "f4", int, int, float)

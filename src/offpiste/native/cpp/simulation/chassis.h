@@ -1,5 +1,5 @@
-/* Forces on the chassis: air, plants, and contact with ground and trees, a soft penalty that keeps the vehicle above
-   ground; it does not model crashes. */
+/* Forces on the chassis: air, plants, and contact with ground and trees. Contact is a soft penalty that keeps the vehicle
+   above ground; it does not model crashes. */
 
 namespace vehicle {
 
@@ -70,9 +70,8 @@ struct Body {
 /* Finds the obstacles near a body. */
 inline Around look_around(const Plants& plants, const Body& body, const Parameters& p) {
     Around found = {};
-    const Vector place = body.at.place, forward = body.axes.forward;
-    const double scale = 1.0 / (size(horizontal(forward)) + 1e-9);
-    const double c = scale * forward.x, s = scale * forward.y;
+    const Vector place = body.at.place;
+    const auto [c, s] = heading(body.axes.forward);
     double nearest = p.length;
     for (int64_t n = 0; n < plants.tree_count; n++) {
         const Tree& tree = plants.trees[n];
@@ -131,9 +130,7 @@ inline bool touch_ground_with_corners(
 /* Adds the force of the nearest tree, a circle in contact with the body's footprint in the plane, at bumper height;
    returns whether they touch. */
 inline bool touch_tree(const Tree& trunk, const Body& body, const Parameters& p, Wrench& chassis) {
-    const Vector forward = body.axes.forward;
-    const double length = size(horizontal(forward)) + 1e-9;
-    const double c = forward.x / length, s = forward.y / length;
+    const auto [c, s] = heading(body.axes.forward);
     const double dx = trunk.x - body.at.place.x, dy = trunk.y - body.at.place.y;
     const Planar tree = {c * dx + s * dy, c * dy - s * dx};
     const double half = 0.5 * p.length, side = 0.5 * p.width;

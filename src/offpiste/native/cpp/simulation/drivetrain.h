@@ -126,7 +126,8 @@ OFFPISTE_ENTRY_OF(double, engine_torque)(double speed, double throttle, const Pa
     return engine_torque(speed, throttle, *p);
 }
 
-/* For tests. */
+/* The entries below are for tests. */
+
 OFFPISTE_ENTRY(spin)(
     double* speeds, double ratio, double throttle, double brake, const double* tyre_torque, double dt,
     const Parameters* p) {

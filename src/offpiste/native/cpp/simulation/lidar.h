@@ -28,8 +28,9 @@ OFFPISTE_ENTRY(reflect)(
 }
 
 /* Measures the points of rays [count][3] that return, and writes their indices; returns their number.
-   The share lost is `dropout`, and more as the echo fades with the square of the range: `lost` of an echo of 0.1 at the
-   farthest range. random: uniform in [0, 1); noise: of the range [m]. */
+   At least the share `dropout` of rays is lost. The echo fades with the square of the range; at the farthest range, the
+   share `lost` of the remaining rays is lost where the echo is 0.1.
+   random: uniform in [0, 1); noise: of the range [m]. */
 OFFPISTE_ENTRY_OF(int64_t, measure_points)(
     int64_t count, double nearest, double farthest, double dropout, double lost, const double* ray,
     const float* distance, const float* echo, const double* random, const double* noise, int32_t* returned,

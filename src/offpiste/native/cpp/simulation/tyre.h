@@ -6,26 +6,6 @@
 
 namespace vehicle {
 
-/* Properties of the ground at a place (logs/ground_truth.py). */
-struct Properties {
-    double friction, cornering_stiffness, rolling_resistance, sinkage_drag;
-};
-
-/* Grids of the ground (grids.h). */
-struct Ground {
-    const double *elevation, *properties;
-    int64_t rows, columns;
-    double x0, y0, resolution;
-
-    double height(double x, double y) const { return ::height(elevation, rows, columns, x0, y0, resolution, x, y); }
-
-    Properties properties_at(double x, double y) const {
-        double found[4];
-        ::properties_at(properties, rows, columns, x0, y0, resolution, x, y, found);
-        return {found[0], found[1], found[2], found[3]};
-    }
-};
-
 /* Force (forward, left) on the tyre, opposite to slip, at most friction * load (eqs. 3.36, 3.37) [N].
    slip: sliding over rolling velocity, of the tyre over the ground [1]
    stiffness: force over load per slip, at small slip [1]
@@ -75,8 +55,7 @@ struct Plane {
 /* The ground under a tyre, averaged over five points.
    centre, forward: centre [m] and heading of the wheel in the world frame */
 inline Plane ground_under(const Ground& ground, Vector centre, Vector forward, const Parameters& p) {
-    const double length = size(horizontal(forward)) + 1e-9;
-    const double c = forward.x / length, s = forward.y / length;
+    const auto [c, s] = heading(forward);
     const double a = p.envelope_length, b = 0.5 * p.tyre_width;
     const double x = centre.x, y = centre.y;
     const double middle = ground.height(x, y);
@@ -113,7 +92,8 @@ inline double normal_load(double compression, double closing, const Parameters& 
     return std::max(p.tyre_stiffness * compression + p.tyre_damping * closing + rim, 0.0);
 }
 
-/* For tests. */
+/* The entries below are for tests. */
+
 OFFPISTE_ENTRY(brush_force)(
     double slip_x, double slip_y, double stiffness_x, double stiffness_y, double friction, double load, double* force) {
     const Planar found = brush_force({slip_x, slip_y}, {stiffness_x, stiffness_y}, friction, load);

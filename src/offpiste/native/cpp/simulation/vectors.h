@@ -25,6 +25,12 @@ inline Planar operator*(double scale, Planar a) { return {scale * a.x, scale * a
 inline double size(Planar a) { return sqrt(a.x * a.x + a.y * a.y); }
 inline Planar horizontal(Vector a) { return {a.x, a.y}; }
 
+/* Unit vector along the horizontal part of a vector. */
+inline Planar heading(Vector a) {
+    const double length = size(horizontal(a)) + 1e-9;
+    return {a.x / length, a.y / length};
+}
+
 inline double clamp(double value, double low, double high) { return std::min(std::max(value, low), high); }
 
 /* Axes of a body in the world frame. */
