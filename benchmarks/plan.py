@@ -186,6 +186,8 @@ def whole_plan(models: dict[str, Hybrid], at: Situation, plan: Tensor, settings:
     }
     for name, model in models.items():
         codes = encode_map(at.ground, model.encoder)
+        if model.encoder is not None:
+            runs[f"encoding, {name}"] = lambda model=model: encode_map(at.ground, model.encoder)[0]
         cost_of = fused_costs(model, start(model, at), at, CostWeights(), codes)
         runs[f"rollouts, {name}"] = lambda cost_of=cost_of: cost_of(controls)
         unsure = replace(at, caution=Caution(Spread(inputs_of(model.vehicle, model.codes)), 1.0))
