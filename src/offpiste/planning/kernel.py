@@ -95,11 +95,11 @@ def encode_map(maps: MapStack, encoder: FeatureEncoder | None) -> Codes:
     if encoder is None:
         return features[..., :0].float(), torch.zeros(0, device=features.device)
     missing = encoder.missing()
-    codes, seen = missing.repeat(*features.shape[:2], 1), features.isfinite().all(dim=-1)
-    there = features[seen].to(missing.dtype)
-    valid = torch.ones(len(there), dtype=torch.bool, device=there.device)
-    fast = isinstance(encoder, Compressor) and supports_encoder(encoder, there)
-    codes[seen] = encode_cells(encoder, there, valid) if fast else encoder(there, valid)  # type: ignore[arg-type]
+    cells = features.flatten(0, 1).to(missing.dtype)
+    seen = cells.sum(dim=-1).isfinite()
+    fast = isinstance(encoder, Compressor) and supports_encoder(encoder, cells)
+    codes = encode_cells(encoder, cells, seen) if fast else encoder(cells, seen)  # type: ignore[arg-type]
+    codes = codes.reshape(*features.shape[:2], -1)
     return codes, missing
 
 
