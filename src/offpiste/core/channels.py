@@ -6,11 +6,9 @@ docs/extending.md shows how to add a channel.
 """
 
 import math
-import re
 from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final
-from unicodedata import combining, normalize
 
 from offpiste.core.registry import Registry
 
@@ -172,45 +170,3 @@ def channel_of_rate(channel: str) -> str:
     """Return the channel whose derivative replaces this one if a log lacks it; "" for none."""
     channels = {actuator.name: actuator.channel for actuator in all_actuators()}
     return next((channels[a.rate_of] for a in all_actuators() if a.channel == channel and a.rate_of), "")
-
-
-_IN_ENGLISH: Final = {
-    "yaw_rate": r"(vitesse|velocidad|velocita|tasa)[_ ](angular[_ ])?(de[_ ]|di[_ ])?(lacet|guinada|imbardata)"
-    r"|(?<!vz_)gier_?(winkel_?)?(rate|geschwindigkeit)|ヨーレ(ート|イト)",
-    "yaw": "lacet|guinada|imbardata|gierwinkel|ヨー角",
-    "heading": "rumbo|方位角?",
-    "vehicle_speed": "(vitesse|velocidad|velocita)[_ ]((du|del|de|di)[_ ])?(vehicule|vehiculo|veicolo)"
-    "|fahr(zeug)?geschwindigkeit|車速",
-    "speed": "vitesse|velocidad|velocita|geschwindigkeit|^速度$",
-    "steering_wheel_angle": "ang(le|olo|ulo)[_ ]((du|de|del)[_ ])?volante?|(?<!vz_)lenkrad_?winkel|ハンドル角度?",
-    "steering_angle": "(?<!vz_)lenk_?winkel|操?舵角",
-    "steering_wheel": "volante?|ハンドル",
-    "accelerator": "accelerateur|acelerador|acceleratore|(fahr|gas)_?pedal(_?(wert|rohwert|stellung))?|アクセル(開度)?",
-    "throttle": "スロットル(開度)?",
-    "brake_pressure": "pression[_ ](de[_ ])?frein(s|age)?|presion[_ ](de[_ ])?frenos?|pressione[_ ](dei[_ ])?fren[oi]"
-    "|brems_?druck|ブレーキ(液?圧|圧力)",
-    "brake": "freins?|frenos?|freni|bremse|brems_?pedal|ブレーキ(?!温)",
-    "engine_speed": "regime[_ ](du[_ ])?moteur|giri[_ ]motore|motor_?drehzahl|エンジン回転[数速]度?",
-    "latitude": "latitud|latitudine|breitengrad|緯度",
-    "longitude": "longitud|longitudine|langengrad|経度",
-    "altitude": "altitud|altitudine|標高|高度",
-    "time": "^temps([_ ](ecoule|gps|utc))?$|tiempo|tempo|時[刻間]",
-}
-"""French, Spanish, Italian, German and Japanese names: patterns of whole words, longer ones first."""
-
-
-def _without_accents(text: str) -> str:
-    return normalize("NFC", "".join(each for each in normalize("NFD", text) if not combining(each)))
-
-
-_WORDS: Final = {
-    english: re.compile(rf"(?<![a-z])({_without_accents(words)})(?![a-z])") for english, words in _IN_ENGLISH.items()
-}
-
-
-def in_english(name: str) -> str:
-    """Translate known words of a field name in lower case to English, and remove accents."""
-    name = _without_accents(name)
-    for english, words in _WORDS.items():
-        name = words.sub(english, name)
-    return name

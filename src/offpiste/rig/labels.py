@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from typing import Final
+from unicodedata import combining, normalize
 
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.core.channels import in_english
 from offpiste.core.errors import RigError
 from offpiste.rig.channels import SECONDS_PER_UNIT, known_channels, unit_factor
 from offpiste.rig.rig import Rig
@@ -20,10 +20,10 @@ _SINCE_1970: Final = (1.0e9, 4.1e9)
 RATES: Final = (0.2, 20_000.0)
 """Plausible sampling rates of recordings [Hz]."""
 
-_TABLES: Final = tomllib.loads((resources.files("offpiste.rig") / "labels.toml").read_text("utf-8"))
+_TABLES: Final = tomllib.loads((resources.files("offpiste.rig") / "vocabulary.toml").read_text("utf-8"))
 
 _PATTERNS: Final = {name: re.compile(pattern) for name, pattern in _TABLES["patterns"].items()}
-"""Patterns of names (see labels.toml)."""
+"""Patterns of names (see vocabulary.toml)."""
 COMMANDED, MEASURED = _PATTERNS["commanded"], _PATTERNS["measured"]
 """Patterns of names of commands, and of measured steering unless `COMMANDED` matches, too."""
 GEOGRAPHIC_NAMES: Final = tuple(_PATTERNS[name] for name in ("latitude", "longitude", "height"))
@@ -59,7 +59,21 @@ class Label:
 def parse_label(header: str) -> Label:
     """Split a column or field into its name, in English, and unit; brackets without a known unit stay in the name."""
     label = _as_written(header)
-    return Label(in_english(label.name), label.unit)
+    name = _without_accents(label.name)
+    for english, words in _WORDS.items():
+        name = words.sub(english, name)
+    return Label(name, label.unit)
+
+
+def _without_accents(text: str) -> str:
+    return normalize("NFC", "".join(each for each in normalize("NFD", text) if not combining(each)))
+
+
+_WORDS: Final = {
+    english: re.compile(rf"(?<![a-z])({_without_accents(words)})(?![a-z])")
+    for english, words in _TABLES["words"].items()
+}
+"""Foreign words, by their English translations."""
 
 
 def _as_written(header: str) -> Label:
