@@ -64,8 +64,9 @@ class Inspect:
     def _inspect(self, path: str, rig: "Rig | None") -> int:
         from json import dumps
 
+        from offpiste.core.files import write_text
         from offpiste.core.object_store import brought
-        from offpiste.inspection.draft_rig import draft_rig, refuse_existing, write_rig
+        from offpiste.inspection.draft_rig import draft_rig, refuse_existing
         from offpiste.inspection.draft_sensors import missing
         from offpiste.inspection.inspect import inspect_log
         from offpiste.inspection.render import render
@@ -83,7 +84,8 @@ class Inspect:
             show(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
             text = rig_text(self.rig) if self.rig else draft_rig(log) if self.write_rig else ""
         if self.write_rig:
-            write_rig(edited_text(text, inspection.cure), self.write_rig)
+            refuse_existing(self.write_rig)
+            write_text(self.write_rig, edited_text(text, inspection.cure))
             lacking = [] if self.rig else missing(text)
             cured = [f"  cured: {edit}" for edit in inspection.cure]
             lines = [f"wrote {self.write_rig}", *cured, *(f"  missing: {what}" for what in lacking)]

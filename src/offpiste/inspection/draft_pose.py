@@ -1,6 +1,5 @@
 """Pose and velocities of a first rig: selection of topics by names, types and values."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -9,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.core.errors import LogError, OffpisteError
-from offpiste.inspection.channel_guesses import DOWN, Guess, by_topic, of_one_vehicle
+from offpiste.inspection.channel_guesses import Guess, by_topic
 from offpiste.inspection.course import check_course
 from offpiste.inspection.draft_values import BY_NUMBERS, heading_by_numbers
 from offpiste.inspection.driven_path import driven_path
@@ -23,26 +22,12 @@ from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
 from offpiste.rig.channels import GEOGRAPHIC
 from offpiste.rig.edits import edited
-from offpiste.rig.labels import COMMANDED, channel_unit, named_course, named_down
+from offpiste.rig.labels import channel_unit, is_named, named_course, named_down
 from offpiste.rig.rig import Rig
 
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
-_LAST: Final = re.compile(r"wheel|controller|encoder", re.IGNORECASE)
-_ODOMETRY: Final = re.compile(r"(^|/)odom(etry)?$", re.IGNORECASE)
-"""Names of wheel odometry, including generic odometry of base controllers."""
-_CORRECTED: Final = re.compile(
-    r"(?<![a-z])(filtered|fused|global|map(ping)?|icp|lio|slam|ekf|gps|gnss|ins|gt|(ground_?)?truth)(?![a-z])", re.I
-)
-"""Names of poses corrected by scan matching, GNSS or a filter."""
-_EARTH: Final = re.compile(r"(?<![a-z])(ecef|earth)(?![a-z])", re.IGNORECASE)
-"""Names of topics in the Earth-centred frame, whose z is not up."""
 _DENSE: Final = 4.0
 """Rate below which a pose has lower priority [1/s]."""
-_NED: Final = re.compile(
-    r"(?<![a-zA-Z])(ned|frd)(?![a-z])|NED(?![a-z])|vehicle_local_position"
-    r"|vehicle_odometry(_\d)?([./](position|q|[xyz])\b|\.csv)"
-)
-"""Names of north-east-down poses, including PX4's."""
 _RATES: Final = {"angular_velocity", "yaw_rate"}
 
 
@@ -68,20 +53,20 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
     If no topic has both position and heading, e.g. a GNSS receiver with an IMU, they come from separate topics, and the
     heading may be a course over ground. Poses in the Earth-centred frame are a last resort.
     """
-    guesses = sorted(guesses, key=lambda guess: _is_doubtful(log, guess))
-    channels_of = by_topic(guesses)
+    channels_of = by_topic(sorted(guesses, key=lambda guess: _is_doubtful(log, guess)))
     on_ground = {t: each for t, each in channels_of.items() if not _is_earth_centred(log, each.get("position"))}
     best = _whole_pose(log, on_ground)
     if not _has_heading(best):
         apart = _places_and_headings(log, on_ground)
         best = apart if _has_heading(apart) or not best else best
     best = best or _whole_pose(log, channels_of) or _pose_by_course(log, guesses)
-    if best:
-        channels_of = by_topic(of_one_vehicle(guesses, best["position"].topic))
     if best and not _RATES & set(best):
-        best |= _from_imu(log, channels_of)
+        imus = {t: each for t, each in channels_of.items() if "imu" in log.topics[t].type.lower()}
+        best |= _most_frequent(log, imus, "angular_velocity")
     if best and "linear_velocity" not in best:
-        best |= _velocity_beside(log, channels_of)
+        slips = ("odometry", "wheels", "earth", "commanded")
+        usable = {t: each for t, each in channels_of.items() if not any(is_named(kind, t) for kind in slips)}
+        best |= _most_frequent(log, usable, "linear_velocity")
     entries: dict[str, Entry] = {}
     for channel in _POSE:
         if channel not in best or (channel == "yaw" and "orientation" in best):  # includes the heading
@@ -123,11 +108,11 @@ def _whole_pose(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dic
     spans = {topic: _span(log, topic) for topic, moving in whole.items() if "position" in moving}
     longest = max(spans.values(), default=0.0)
     often = [t for t, span in spans.items() if log.topics[t].count > _DENSE * longest and span >= longest / 2]
-    corrected = any(_CORRECTED.search(topic) and _has_heading(whole[topic]) for topic in often)
+    corrected = any(is_named("corrected", topic) and _has_heading(whole[topic]) for topic in often)
 
     def score(topic: str) -> tuple[bool, bool, bool, int, bool, int]:
-        last = _LAST.search(topic) is not None
-        drifts = corrected and (last or _ODOMETRY.search(topic) is not None) and not _CORRECTED.search(topic)
+        last = is_named("wheels", topic)
+        drifts = corrected and (last or is_named("odometry", topic)) and not is_named("corrected", topic)
         kinds = sum(channel in _POSE for channel in whole[topic])
         return topic in often, _has_heading(whole[topic]), not drifts, kinds, not last, log.topics[topic].count
 
@@ -164,7 +149,7 @@ def _is_earth_centred(log: Log, place: Guess | None) -> bool:
     if place is None or place.unit == GEOGRAPHIC:
         return False
     values = field_values(log, place)
-    return _EARTH.search(place.topic) is not None or (values is not None and are_earth_centred(values))
+    return is_named("earth", place.topic) or (values is not None and are_earth_centred(values))
 
 
 def _places_and_headings(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
@@ -181,24 +166,11 @@ def _places_and_headings(log: Log, channels_of: Mapping[str, Mapping[str, Guess]
     return {guesses[0].channel: guesses[0] for guesses in (places, headings)} if places and headings else {}
 
 
-def _from_imu(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
-    """Return the angular velocity of the IMU with the most samples if the pose's topic has none."""
-    imus = [topic for topic in channels_of if "imu" in log.topics[topic].type.lower()]
-    for topic in sorted(imus, key=lambda topic: -log.topics[topic].count):
-        guess = channels_of[topic].get("angular_velocity")
-        if guess is not None and varies(field_values(log, guess)):
-            return {"angular_velocity": guess}
-    return {}
-
-
-def _velocity_beside(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
-    """Return the velocity with the most samples if the pose's topic has none; commands do not count."""
-    for topic in sorted(channels_of, key=lambda topic: -log.topics[topic].count):
-        guess = channels_of[topic].get("linear_velocity")
-        slips = any(names.search(topic) for names in (_ODOMETRY, _LAST, _EARTH))
-        if guess is not None and not slips and not COMMANDED.search(topic) and varies(field_values(log, guess)):
-            return {"linear_velocity": guess}
-    return {}
+def _most_frequent(log: Log, channels_of: Mapping[str, Mapping[str, Guess]], channel: str) -> dict[str, Guess]:
+    """Return the varying guess of a channel with the most samples; empty if there is none."""
+    found = sorted((t for t, each in channels_of.items() if channel in each), key=lambda t: -log.topics[t].count)
+    guesses = (channels_of[topic][channel] for topic in found)
+    return next(({channel: guess} for guess in guesses if varies(field_values(log, guess))), {})
 
 
 def field_values(log: Log, guess: Guess) -> Float[np.ndarray, "n k"] | None:
@@ -243,8 +215,8 @@ def points_down(log: Log, pose: Guess) -> bool:
     first = first_message(log, pose.topic)
     frames = getattr(getattr(first, "header", None), "frame_id", ""), getattr(first, "child_frame_id", "")
     names = (pose.topic or log.path.name, *pose.fields, *map(str, frames))
-    named = any(map(_NED.search, names)) or any(map(named_down, pose.fields))
-    return named or log.topics[pose.topic].type.startswith(DOWN)
+    named = is_named("ned", *names) or any(map(named_down, pose.fields))
+    return named or is_named("ned_types", log.topics[pose.topic].type)
 
 
 def first_message(log: Log, topic: str) -> Any:

@@ -1,7 +1,8 @@
 """Groups of fields: vectors, positions and wheel speeds by their names, quaternions by their values."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -11,7 +12,7 @@ from offpiste.core.errors import OffpisteError
 from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.channels import GEOGRAPHIC
-from offpiste.rig.labels import GEOGRAPHIC_NAMES, Label, parse_label, with_letters
+from offpiste.rig.labels import GEOGRAPHIC_NAMES, PATTERNS, VOCABULARY, Label, is_named, parse_label, with_letters
 
 Group = tuple[str, tuple[str, ...], str, int]
 """A channel, its candidate fields, their unit, and the rank of their names (0 is best)."""
@@ -21,44 +22,27 @@ _EASTING: Final = 1e6
 """Threshold between projected and Earth-centred coordinates; northings may exceed it [m]."""
 _UNIT, _MOST = 0.02, 0.95
 """Maximum deviation of a quaternion's norm from 1, and minimum share of such rows."""
-_AXIS = re.compile(r"(?<![a-z])([pqtvwg]?)x(?![a-z])")
-_TRANSLATION: Final = re.compile(r"(?<![a-z])t[._ ]*$")
-"""Prefix of the letter x in TUM's `tx`, which may also be a torque: a position only as a fallback."""
-_FRAMES: Final = re.compile(r"((?:^|[./ ])[pqvw])(_[a-z]{1,2}){1,2}$")
-"""Frame suffixes of a vector's letter, e.g. from R to S, expressed in R: `p_RS_R_x`."""
-_PLACES = (
-    "utm|enu|local|global|world|map|gps|gnss|ego|car|veh|vehicle|odom|rtk|slam|base|robot|center|cog|pos|gt|ground_?truth"
-    "|ekf|est|state|cg|rear_?axle|loc(ation)?|coord(inate)?s?"
-)
-_GROUPS: tuple[tuple[str, re.Pattern[str], str], ...] = (
-    ("angular_velocity", re.compile(r"angular|gyro|omega|rot(ation)?_?rate|rate_of_rot|(^|[^a-z])[wg]$"), "yz"),
-    ("orientation", re.compile(r"orient|quat|attitude|rot|(^|[^a-z])q(n2b)?$"), "yzw"),
-    ("linear_velocity", re.compile(r"linear_?vel|twist[._/]linear|vel|(^|[^a-z])(v|uvw)$"), "yz"),
-    ("position", re.compile(rf"pos|vicon|mocap|optitrack|translation|(^|[^a-z])[pt]?$|(?<![a-z])({_PLACES})$"), "yz"),
-)
-"""Vectors by the prefix of the letter x, and the other letters."""
-_WIDTHS: Final = {"orientation": (4,), "angular_velocity": (3,), "linear_velocity": (2, 3), "position": (2, 3)}
-_NOT_GROUPS = re.compile(
-    r"acc|magn|gravity|force|effort|imu.*orient|ll[ah](?![a-z])|(?<![a-z])g\("
-    r"|(?<![a-z])(mag|err|error|ref|des|desired|target|goal|setpoint|waypoint|cov|covariance|std|stdev|sd|sigma)(?![a-z])"
-)
-_NUMBERED: Final = re.compile(r"^(.+?)(?:\[(\d)\]|[._](\d)|(?:(?<=q)|(?<=quat))(\d))$")
-_LLA: Final = re.compile(r"(?<![a-z])ll[ah]$|(?<![a-z])geodetic(\.value)?$")
-"""Names of arrays of latitude, longitude and height."""
-_NED_VELOCITY: Final = re.compile(r"(?<![a-z])velocity_ned(\.value)?$")
-_NED_ANGLES: Final = re.compile(r"(?<![a-z])(calibrated_)?orientation_ned(\.value)?$|(?<![a-z])theta$")
-"""Names of north-east-down arrays: openpilot's velocities and roll, pitch, yaw (of device or, calibrated, of the car),
-and Inertial Sense's."""
-_EAST: Final = re.compile(r"(?<![a-z])(e|east)(?![a-z])")
-"""Names of the east component."""
-_ACTUATED: Final = re.compile(r"joint|wheel|motor|servo|actuator|output", re.IGNORECASE)
-"""Names of parts whose positions and velocities are not the vehicle's."""
 
-_TOGETHER: Final[tuple[tuple[frozenset[str], tuple[tuple[str, tuple[str, ...]], ...]], ...]] = (
-    (frozenset("uvwpqr"), (("linear_velocity", ("u", "v", "w")), ("angular_velocity", ("p", "q", "r")))),
-    (frozenset("uvr"), (("linear_velocity", ("u", "v")), ("yaw_rate", ("r",)))),
-)
-"""Names that are only meaningful together, in one notation (SNAME's, for marine vehicles)."""
+
+@dataclass(frozen=True)
+class _Vector:
+    """Row of the vocabulary: a kind of vector."""
+
+    names: str
+    channel: str
+    sizes: Sequence[int]
+    take: Sequence[int] = ()
+    unit: str = ""
+    rank: int = 0
+    arrays: bool = False
+
+    def group(self, fields: tuple[str, ...], unit: str, rank: int = 0) -> Group:
+        taken = tuple(fields[index] for index in self.take) or fields
+        return self.channel, taken, self.unit or unit, rank or self.rank
+
+
+_VECTORS: Final = tuple(_Vector(**row) for row in VOCABULARY["draft"]["vectors"])
+_CORNERS: Final = {corner: re.compile(names) for corner, names in VOCABULARY["draft"]["corners"].items()}
 
 
 def field_groups(topic: Topic, named: Mapping[str, Label]) -> Iterator[Group]:
@@ -67,18 +51,19 @@ def field_groups(topic: Topic, named: Mapping[str, Label]) -> Iterator[Group]:
     Args:
         named: name and unit of the topic's fields.
     """
-    yield from _together(named)
+    yield from _notation(named)
     yield from _vectors(named)
-    yield from _numbered(topic)
+    yield from _arrays(topic)
     yield from _places(named)
     yield from _wheels(topic, named)
 
 
-def _together(named: Mapping[str, Label]) -> Iterator[Group]:
+def _notation(named: Mapping[str, Label]) -> Iterator[Group]:
+    """Yield fields whose names have a meaning only together."""
     columns = {label.name: field for field, label in named.items()}
-    for letters, channels in _TOGETHER:
-        if letters <= set(columns):
-            for channel, names in channels:
+    for notation in VOCABULARY["draft"]["notations"]:
+        if {name for names in notation.values() for name in names} <= set(columns):
+            for channel, names in notation.items():
                 fields = tuple(columns[name] for name in names)
                 yield channel, fields, named[fields[0]].unit, 0
             return
@@ -86,25 +71,50 @@ def _together(named: Mapping[str, Label]) -> Iterator[Group]:
 
 def _vectors(named: Mapping[str, Label]) -> Iterator[Group]:
     """Yield fields that differ in one letter: x, y, z or w."""
+    for before, after, found in _letters(named):
+        vector = _vector(f"{before}x{after}", before, after)
+        if vector is None or vector.arrays:
+            continue
+        fields = tuple(found[letter] for letter in "xyzw"[: max(vector.sizes)] if letter in found)
+        if vector.channel == "position":
+            fields = _one_place(fields, named)
+        if len(fields) in vector.sizes:
+            torques = vector.channel == "position" and is_named("translation", before)
+            yield vector.group(fields, named[fields[0]].unit, 2 if torques else 0)
+
+
+def _letters(named: Mapping[str, Label]) -> Iterator[tuple[str, str, dict[str, str]]]:
+    """Yield the parts of a name before and behind its letter, and the fields of each letter."""
     plain = {label.name: field for field, label in reversed(list(named.items()))}
     columns = {with_letters(name): field for name, field in plain.items()} | plain
     for name in dict.fromkeys(with_letters(label.name) for label in named.values()):
-        for match in _AXIS.finditer(name):
+        for match in PATTERNS["letter"].finditer(name):
             before, after = name[: match.end() - 1], name[match.end() :]
-            if (group := _group_of(name, before, after)) is None:
-                continue
-            channel, _, letters = group
-            fields = (columns[name], *(columns[n] for a in letters if (n := before + a + after) in columns))
-            if channel == "position" and len(fields) == 2:
-                fields += tuple(field for field, label in named.items() if _HEIGHT.fullmatch(label.name))[:1]
-            if len(fields) == 3 and (named[fields[2]].unit or "m") != (named[fields[0]].unit or "m"):
-                fields = fields[:2]  # a channel has one unit: east and north may be in m, the height in ft
-            east = named[fields[0]].name
-            if len(fields) == 2 and _EAST.search(east) and (down := plain.get(_EAST.sub(_down_of, east))):
-                fields = (fields[1], fields[0], down)
-            if len(fields) in _WIDTHS[channel]:
-                torques = channel == "position" and _TRANSLATION.search(before)
-                yield channel, fields, named[fields[0]].unit, 2 if torques else 0
+            yield before, after, {a: columns[n] for a in "xyzw" if (n := f"{before}{a}{after}") in columns}
+
+
+def _vector(name: str, before: str, after: str) -> _Vector | None:
+    """Return the kind of a vector by the part of its name before the letter, or behind it if there is none before."""
+    if is_named("not_vectors", name):
+        return None
+    words, behind = (text.strip("._ /") for text in (before, after))
+    words = PATTERNS["frames"].sub(r"\1", words)
+    if not words and behind:
+        *vectors, position = _VECTORS
+        return next((vector for vector in vectors if re.search(vector.names, behind)), position)
+    return next((vector for vector in _VECTORS if re.search(vector.names, words)), None)
+
+
+def _one_place(fields: tuple[str, ...], named: Mapping[str, Label]) -> tuple[str, ...]:
+    """Return the fields of a position with its height under another name, in one unit, and down only with north."""
+    if len(fields) == 2:
+        fields += tuple(f for f, label in named.items() if PATTERNS["height_beside"].fullmatch(label.name))[:1]
+    if len(fields) == 3 and (named[fields[2]].unit or "m") != (named[fields[0]].unit or "m"):
+        fields = fields[:2]  # a channel has one unit: east and north may be in m, the height in ft
+    down = PATTERNS["east"].sub(lambda east: "down" if east[0] == "east" else "d", name := named[fields[0]].name)
+    if len(fields) == 2 and down != name and (third := next((f for f in named if named[f].name == down), "")):
+        return fields[1], fields[0], third
+    return fields
 
 
 def fours(named: Mapping[str, Label]) -> Iterator[tuple[tuple[str, ...], bool]]:
@@ -113,111 +123,49 @@ def fours(named: Mapping[str, Label]) -> Iterator[tuple[tuple[str, ...], bool]]:
     Returns:
         The fields, and False if they belong to a reference or an error instead of the vehicle.
     """
-    columns = {label.name: field for field, label in reversed(list(named.items()))}
-    for name in dict.fromkeys(label.name for label in named.values()):
-        for match in _AXIS.finditer(name):
-            before, after = name[: match.end() - 1], name[match.end() :]
-            group = _group_of(name, before, after)
-            others = [before + letter + after for letter in "yzw"]
-            if set(others) <= set(columns) and (group is None or group[0] != "orientation"):
-                yield (columns[name], *(columns[other] for other in others)), not _NOT_GROUPS.search(name)
+    for before, after, found in _letters(named):
+        name = f"{before}x{after}"
+        vector = _vector(name, before, after)
+        if len(found) == 4 and (vector is None or vector.channel != "orientation"):
+            yield tuple(found.values()), not is_named("not_vectors", name)
 
 
-def _down_of(east: re.Match[str]) -> str:
-    return "down" if east[0] == "east" else "d"
-
-
-def _group_of(name: str, before: str, after: str) -> tuple[str, re.Pattern[str], str] | None:
-    """Return the group of a name by the prefix of its letter, or by the suffix without a prefix."""
-    if _NOT_GROUPS.search(name):
-        return None
-    words, behind = (text.strip("._ /") for text in (before, after))
-    words = _FRAMES.sub(r"\1", words)
-    if not words and behind:
-        *vectors, position = _GROUPS
-        return next((group for group in vectors if group[1].search(behind)), position)
-    return next((group for group in _GROUPS if group[1].search(words)), None)
-
-
-def _numbered(topic: Topic) -> Iterator[Group]:
+def _arrays(topic: Topic) -> Iterator[Group]:
     """Yield arrays with as many entries as a vector, counted from 0 or 1: `q[0]` to `q[3]`, `vel_1` to `vel_3`."""
-    if topic.joints or _ACTUATED.search(f"{topic.name} {topic.type}"):
-        return
     arrays: dict[str, dict[int, str]] = {}
     for field in topic.fields:
-        if match := _NUMBERED.match(field):
+        if not topic.joints and (match := PATTERNS["numbered"].match(field)):
             arrays.setdefault(match[1], {})[int(match[2] or match[3] or match[4])] = field
     for name, entries in arrays.items():
-        label = parse_label(name)
-        group = None if _ACTUATED.search(label.name) or "ecef" in label.name else _group_of(label.name, label.name, "")
-        numbers, fields = sorted(entries), tuple(entries[number] for number in sorted(entries))
-        counted = numbers in ([*range(len(numbers))], [*range(1, len(numbers) + 1)])
-        if counted and len(fields) == 3 and (ned := _of_north_east_down(label.name, fields)):
-            yield ned
-        elif group is not None and counted and len(numbers) in _WIDTHS[group[0]]:
-            yield group[0], fields, topic.units.get(fields[0], "") or label.unit, 0
-
-
-def _of_north_east_down(name: str, fields: tuple[str, ...]) -> Group | None:
-    """Return a three-entry array of a geographic position, or of velocities or angles in a north-east-down frame."""
-    if _LLA.search(name):
-        return "position", fields, GEOGRAPHIC, 1
-    if _NED_VELOCITY.search(name):
-        return "linear_velocity", (fields[1], fields[0]), "m/s", 0
-    if match := _NED_ANGLES.search(name):
-        return "yaw", fields[2:], "rad", 0 if match[1] else 1
-    return None
-
-
-_HEIGHT: Final = re.compile(r"((utm|gps|gnss|pos|position)_)?(z|alt|altitude|elevation|height)")
-"""Names of the height of a position whose east and north are named differently."""
-_LATERAL: Final = re.compile(r"acc|force|vel|speed|(^|[ ._/])[av]_")
-"""Names of lateral or longitudinal quantities that are not coordinates."""
+        label, first = parse_label(name), min(entries)
+        vector = _vector(label.name, label.name, "")
+        counted = first in (0, 1) and set(entries) == set(range(first, first + len(entries)))
+        if is_named("other_parts", topic.name, topic.type, label.name) or not counted or vector is None:
+            continue
+        if len(entries) in vector.sizes:
+            fields = tuple(entries[number] for number in sorted(entries))
+            yield vector.group(fields, topic.units.get(fields[0], "") or label.unit)
 
 
 def _places(named: Mapping[str, Label]) -> Iterator[Group]:
     """Yield geographic positions, e.g. of sensor_msgs/NavSatFix."""
-    places = {field: label for field, label in named.items() if not _LATERAL.search(label.name)}
-    degrees = {field: label for field, label in places.items() if label.unit in ("", "deg", "rad")}
-    metres = {field: label for field, label in places.items() if label.unit in ("", "m")}
-    among = (degrees, degrees, metres)
-    found = [
-        next((f for f, label in fields.items() if pattern.search(label.name)), "")
-        for pattern, fields in zip(GEOGRAPHIC_NAMES, among, strict=True)
-    ]
-    if not found[0]:
-        found = [
-            next((f for f, label in named.items() if re.search(rf"ll[ah][._/].*{a}$", label.name)), "") for a in "xyz"
-        ]
+    found = []
+    for pattern, units in zip(GEOGRAPHIC_NAMES, (("", "deg", "rad"), ("", "deg", "rad"), ("", "m")), strict=True):
+        of_unit = ((field, label.name) for field, label in named.items() if label.unit in units)
+        found.append(next((f for f, name in of_unit if pattern.search(name) and not is_named("lateral", name)), ""))
     if found[0] and found[1]:
-        yield "position", tuple(field for field in found if field), GEOGRAPHIC, 1
-
-
-_CORNERS: Final = ("fl", "fr", "rl", "rr")
-_CORNER: Final = re.compile(r"(?<![a-z])(fl|fr|rl|rr|lf|rf|lr|lb|rb)(?![a-z])")
-_IN_WORDS: Final = tuple(
-    (re.compile(f"{end}[_ ]?{side}|{side}[_ ]?{end}"), end[0] + side[0])
-    for end in ("front", "rear")
-    for side in ("left", "right")
-)
-_WHEEL_SPEED: Final = re.compile(r"(wheel|speed|vel|rpm|(?<![a-z])(ws|v|omega))")
-_WHEEL_JOINT: Final = re.compile(r"wheel.*_vel$")
-_NO_SPEED: Final = re.compile(r"valid|direction|steer|(?<![a-z])is_")
+        yield "position", tuple(filter(None, found)), GEOGRAPHIC, 1
 
 
 def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[Group]:
     """Yield speeds of four wheels; if in rad/s, as for joints, the motion determines the wheel radius."""
-    turned = {"lf": "fl", "rf": "fr", "lr": "rl", "lb": "rl", "rb": "rr"}
     columns: dict[str, str] = {}
     for field, label in named.items():
-        name = label.name
-        for words, letters in _IN_WORDS:
-            name = words.sub(letters, name)
-        corner = _CORNER.search(name)
-        speed = _WHEEL_JOINT if field in topic.joints else _WHEEL_SPEED
-        if corner and speed.search(name) and not _NO_SPEED.search(name):
-            columns.setdefault(turned.get(corner[1], corner[1]), field)
-    if set(columns) == set(_CORNERS):
+        speed = "wheel_joint" if field in topic.joints else "wheel_speed"
+        if is_named(speed, label.name) and not is_named("not_wheel_speed", label.name):
+            corner = next((corner for corner, names in _CORNERS.items() if names.search(label.name)), "")
+            columns.setdefault(corner, field)
+    if set(_CORNERS) <= set(columns):
         fields = tuple(columns[corner] for corner in _CORNERS)
         yield "wheel_speed", fields, named[fields[0]].unit, 0
 

@@ -20,23 +20,21 @@ _SINCE_1970: Final = (1.0e9, 4.1e9)
 RATES: Final = (0.2, 20_000.0)
 """Plausible sampling rates of recordings [Hz]."""
 
-_TABLES: Final = tomllib.loads((resources.files("offpiste.rig") / "vocabulary.toml").read_text("utf-8"))
+VOCABULARY: Final = tomllib.loads((resources.files("offpiste.rig") / "vocabulary.toml").read_text("utf-8"))
 
-_PATTERNS: Final = {name: re.compile(pattern) for name, pattern in _TABLES["patterns"].items()}
+PATTERNS: Final = {name: re.compile(pattern) for name, pattern in VOCABULARY["patterns"].items()}
 """Patterns of names (see vocabulary.toml)."""
-COMMANDED, MEASURED = _PATTERNS["commanded"], _PATTERNS["measured"]
+COMMANDED, MEASURED = PATTERNS["commanded"], PATTERNS["measured"]
 """Patterns of names of commands, and of measured steering unless `COMMANDED` matches, too."""
-GEOGRAPHIC_NAMES: Final = tuple(_PATTERNS[name] for name in ("latitude", "longitude", "height"))
-COURSE_NAMES: Final = _PATTERNS["course_over_ground"].pattern
-"""Pattern of names of a course over ground, without its boundaries."""
+GEOGRAPHIC_NAMES: Final = tuple(PATTERNS[name] for name in ("latitude", "longitude", "height"))
 PRESSURES: Final = frozenset(("pa", "kpa", "mpa", "bar", "psi"))
 """Units of pressures."""
 
 _UNITS: Final[dict[str, str]] = {
-    spelling: unit for unit, spellings in _TABLES["units"].items() for spelling in spellings
+    spelling: unit for unit, spellings in VOCABULARY["units"].items() for spelling in spellings
 }
-_BRACKETED: Final = _UNITS | {unit: unit for unit in _TABLES["other_units"]["in_brackets"]}
-_AFTER: Final[dict[str, str]] = {spelling: unit for spelling, unit in _UNITS.items() if unit != "1"} | _TABLES[
+_BRACKETED: Final = _UNITS | {unit: unit for unit in VOCABULARY["other_units"]["in_brackets"]}
+_AFTER: Final[dict[str, str]] = {spelling: unit for spelling, unit in _UNITS.items() if unit != "1"} | VOCABULARY[
     "other_units"
 ]["as_suffixes"]
 _SUFFIX: Final = re.compile(
@@ -71,24 +69,24 @@ def _without_accents(text: str) -> str:
 
 _WORDS: Final = {
     english: re.compile(rf"(?<![a-z])({_without_accents(words)})(?![a-z])")
-    for english, words in _TABLES["words"].items()
+    for english, words in VOCABULARY["words"].items()
 }
 """Foreign words, by their English translations."""
 
 
 def _as_written(header: str) -> Label:
-    text = _PATTERNS["word_begins"].sub("_", header.strip()).lower()
+    text = PATTERNS["word_begins"].sub("_", header.strip()).lower()
     # `x[m]`, then `x / m` and `x, m`, then `x_m`.
-    if (match := _PATTERNS["bracket"].match(text)) and match[1]:
+    if (match := PATTERNS["bracket"].match(text)) and match[1]:
         name, inside = match[1], next(group for group in match.groups()[1:] if group is not None)
         if (unit := unit_of(inside)) is not None:
             return Label(name.strip(" /,"), unit)
-    if (match := _PATTERNS["worded"].match(text)) and (unit := unit_of(match[2])) is not None:
+    if (match := PATTERNS["worded"].match(text)) and (unit := unit_of(match[2])) is not None:
         return Label(match[1].strip(), unit)
-    if (match := _SUFFIX.match(text)) and (match[2] != "psi" or _PATTERNS["pressed"].search(match[1])):
+    if (match := _SUFFIX.match(text)) and (match[2] != "psi" or PATTERNS["pressed"].search(match[1])):
         spelling = match[2] or match[3]
         return Label(text if spelling in _NAMES else match[1], _AFTER[spelling])
-    return Label(text, _UNITS[text] if _PATTERNS["clock"].fullmatch(text) else "")
+    return Label(text, _UNITS[text] if PATTERNS["clock"].fullmatch(text) else "")
 
 
 def field_labels(
@@ -104,20 +102,25 @@ def field_labels(
     result = {}
     quantities = [name for name in fields if not is_beside_quantity(name)]
     for name in fields:
-        asked = _PATTERNS["of_the_topic"].search(name) or _PATTERNS["asked"].search(parse_label(name).name)
+        asked = is_named("of_the_topic", name) or is_named("asked", parse_label(name).name)
         alone = len(quantities) <= 2 and name in quantities
         by_topic = len(fields) <= 2 or (topic and (alone or asked))
         whole = joints.get(name) or (f"{topic}/{name}" if by_topic else name)
         label = parse_label(whole)
-        if not label.unit and (number := _PATTERNS["number_only"].search(label.name)):
+        if not label.unit and (number := PATTERNS["number_only"].search(label.name)):
             label = parse_label(whole[: number.start()])
         result[name] = Label(label.name, units.get(name, "") or label.unit)
     return result
 
 
+def is_named(kind: str, *names: str) -> bool:
+    """Return whether any of some names matches a pattern of vocabulary.toml."""
+    return any(PATTERNS[kind].search(name) for name in names)
+
+
 def is_beside_quantity(field: str) -> bool:
     """Return whether a field is a limit, counter, switch or the like, rather than a quantity."""
-    return _PATTERNS["beside_quantity"].search(re.split("[./]", parse_label(field).name)[-1]) is not None
+    return is_named("beside_quantity", re.split("[./]", parse_label(field).name)[-1])
 
 
 def is_array_entry(field: str) -> bool:
@@ -127,7 +130,7 @@ def is_array_entry(field: str) -> bool:
 
 def without_comment(header: str) -> str:
     """Remove the comment sign of a header, or of the first name in it."""
-    return _PATTERNS["comment"].sub("", header)
+    return PATTERNS["comment"].sub("", header)
 
 
 def unit_of(text: str) -> str | None:
@@ -175,7 +178,7 @@ def are_since_1970(stamps: Float[np.ndarray, " n"]) -> bool:
 
 
 _AXIS_WORDS: Final = tuple(
-    (re.compile(rf"(?<![a-z]){each['words']}(?![a-z])"), each["letters"]) for each in _TABLES["axes"]
+    (re.compile(rf"(?<![a-z]){each['words']}(?![a-z])"), each["letters"]) for each in VOCABULARY["axes"]
 )
 
 
@@ -194,12 +197,12 @@ def named_axis(field: str) -> str:
 def named_coordinate(field: str) -> str:
     """Return the geographic coordinate in the name of a position's field: "lat" or "lon"; "" for none."""
     name = parse_label(field).name
-    return next((what for what in ("latitude", "longitude") if _PATTERNS[what].search(name)), "")[:3]
+    return next((what for what in ("latitude", "longitude") if is_named(what, name)), "")[:3]
 
 
 def named_down(field: str) -> bool:
     """Return whether a position's field is named as a coordinate that points down."""
-    return _PATTERNS["down"].search(parse_label(field).name) is not None
+    return is_named("down", parse_label(field).name)
 
 
 def named_direction(field: str) -> bool:
@@ -209,11 +212,11 @@ def named_direction(field: str) -> bool:
 
 def named_course(field: str) -> bool:
     """Return whether a field is named as a course over ground, which is not a heading."""
-    return _PATTERNS["course"].search(field) is not None
+    return is_named("course", field)
 
 
 def _last_letter(name: str) -> str:
-    found = _PATTERNS["axis"].findall(name)
+    found = PATTERNS["axis"].findall(name)
     return str(found[-1]) if found else ""
 
 
