@@ -187,33 +187,15 @@ class Jointed(MemoryLog):
         return super().topics | {"joint_states": dataclasses.replace(super().topics["joint_states"], joints=joints)}
 
 
-def two_robots(*, poses: tuple[int, ...], controls: tuple[int, ...]) -> MemoryLog:
-    """A log of /robot1 and /robot2, the first one's topics first."""
-    topics = {}
-    for number in (1, 2):
-        one = drive_log(seconds=20, seed=number).data
-        topics |= {f"/robot{number}/odom": one["odom"]} if number in poses else {}
-        if number in controls:
-            steering, columns = one["steering"]
-            topics |= {f"/robot{number}/pedals": one["pedals"]}
-            topics |= {f"/robot{number}/steering": (steering, {"steer": columns["command"]})}
-    return MemoryLog(topics)
+TWO_ROBOTS = MemoryLog({f"/{robot}/{topic}": data for number, robot in enumerate(("robot1", "robot2"))
+                        for topic, data in drive_log(seconds=20, seed=number).data.items()})  # fmt: skip
 
 
-@pytest.mark.parametrize(("poses", "controls", "read"), [((2,), (1, 2), 2), ((1, 2), (1, 2), 1), ((2,), (1,), 1)])
-def test_controls_are_those_of_the_vehicle_whose_pose_is_read(poses, controls, read) -> None:
-    text = draft_rig(two_robots(poses=poses, controls=controls))
-    channels = parse_rig(text, where="test").channels
-    assert {channels[name].topic.split("/")[1] for name in ("throttle", "brake", "steer")} == {f"robot{read}"}
-    said = [line for line in missing(text) if "another vehicle" in line]
-    assert said == (
-        []
-        if read in poses
-        else [
-            "throttle, brake, steer of /robot2: those of /robot1 are read, another vehicle by its name. Give its own, "
-            "or declare them absent."
-        ]
-    )
+@pytest.mark.parametrize("namespace", ["/robot1", "robot2/"])
+def test_a_namespace_chooses_one_of_several_vehicles(namespace: str) -> None:
+    channels = parse_rig(draft_rig(TWO_ROBOTS, namespace), where="test").channels
+    assert {source.topic.split("/")[1] for source in channels.values()} == {namespace.strip("/")}
+    assert {"position", "throttle", "brake", "steer"} <= set(channels)
 
 
 def test_a_control_that_never_changes_is_named() -> None:

@@ -27,6 +27,8 @@ class Inspect:
     """Name of a preset, or a rig file; an unknown name lists the presets. Without a rig, only the log is checked."""
     time: str = ""
     """Time column of a table, whose unit follows from its name or rate; `clock.column` in a rig."""
+    namespace: str = ""
+    """Namespace of the vehicle in a log of several vehicles, e.g. /robot1."""
     write_rig: Path | None = None
     """New rig file: the given rig, or a draft for this log, with all fixes applied."""
     estimate_mountings: bool = False
@@ -47,8 +49,9 @@ class Inspect:
         logs = [str(log) for log in expanded(self.logs)]
         if not logs:
             raise LogError("the log is missing", how="name one or more logs")
-        if self.time and (self.rig or len(logs) > 1):
-            raise LogError("--time is for one log without a rig", how="set clock.column in the rig")
+        if (self.time or self.namespace) and (self.rig or len(logs) > 1):
+            option, how = ("--time", "set clock.column") if self.time else ("--namespace", "name the topics")
+            raise LogError(f"{option} is for one log without a rig", how=f"{how} in the rig")
         if len(logs) > 1:
             return self._survey(logs)
         if self.estimate_mountings:
@@ -80,9 +83,9 @@ class Inspect:
         with brought(path) as here:
             named = Clock(column=self.time, unit="") if self.time else Clock()  # type: ignore[arg-type]
             log = open_log(here, clock=rig.clock if rig else named)
-            inspection = replace(inspect_log(log, rig, sensors=True), log=path)
+            inspection = replace(inspect_log(log, rig, sensors=True, namespace=self.namespace), log=path)
             show(dumps(inspection.as_dict(), indent=2) if self.json else render(inspection))
-            text = rig_text(self.rig) if self.rig else draft_rig(log) if self.write_rig else ""
+            text = rig_text(self.rig) if self.rig else draft_rig(log, self.namespace) if self.write_rig else ""
         if self.write_rig:
             refuse_existing(self.write_rig)
             write_text(self.write_rig, edited_text(text, inspection.cure))

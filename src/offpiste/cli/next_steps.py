@@ -42,8 +42,9 @@ def after_inspection(options: Any, log: str, inspection: "Inspection") -> str:
     if undrafted:
         return next_line("inspect", log, first=["make the log readable as said above"])
     if not rig:
-        time = ["--time", options.time] if options.time else []
-        return next_line("inspect", log, *time, "--write-rig", "my.toml")
+        given = (("--time", options.time), ("--namespace", options.namespace))
+        same = [word for option, value in given if value for word in (option, value)]
+        return next_line("inspect", log, *same, "--write-rig", "my.toml")
     again = ("inspect", log, "--rig", rig)
     vehicle = f"give {rig} the numbers of your vehicle ([vehicle])"
     if "?" in rig_text(rig):

@@ -57,14 +57,19 @@ class Guess:
     in_hand: bool = False
 
 
-def guess_channels(log: Log) -> list[Guess]:
+def guess_channels(log: Log, namespace: str = "") -> list[Guess]:
     """Return all guesses from names, units and types, in log order, best names first.
 
     The most frequent commanded motion is first: it is the one forwarded to the vehicle. A topic with a rate below
     `_SELDOM` of another one of its channel is last, as it is likely a monitor. Transforms are included if their frames
     are named like a body in a world.
+
+    Args:
+        namespace: of the vehicle, if the log holds several, e.g. `/robot1`; other topics and transforms are left out.
     """
-    topics = [topic for topic in log.topics.values() if topic.count > 1 and (not topic.part_of or _is_of_a_body(topic))]
+    part = f"/{namespace.strip('/')}/" if namespace else ""
+    topics = [topic for topic in log.topics.values() if part in f"/{topic.name}/".replace(" ", "/")]
+    topics = [topic for topic in topics if topic.count > 1 and (not topic.part_of or _is_of_a_body(topic))]
     guesses = [guess for topic in topics for guess in _of_topic(log, topic)]
     count = {name: topic.count for name, topic in log.topics.items()}
     most: dict[str, int] = {}

@@ -23,6 +23,7 @@ class Known:
     """Facts from reading the log through an incomplete rig.
 
     Attributes:
+        namespace: see `offpiste.inspection.channel_guesses.guess_channels`.
         frame: of the linear velocity.
         wheelbase: [m], or 0.
         max_steer: road wheel angle at a steering command of 1 for this wheelbase [rad], or 0.
@@ -35,6 +36,7 @@ class Known:
         in_hand: True if the steering angle is the steering wheel's.
     """
 
+    namespace: str = ""
     frame: str = "unknown"
     wheelbase: float = 0.0
     max_steer: float = 0.0
@@ -52,7 +54,7 @@ NOTHING: Final = Known()
 
 def draft_channels(log: Log, known: Known = NOTHING) -> dict[str, Entry]:
     """Return entries by channel, the pose's first."""
-    guesses = guess_channels(log)
+    guesses = guess_channels(log, known.namespace)
     if known.plain:
         guesses = [_as_it_is(guess) for guess in guesses]
     entries = draft_pose(log, guesses, known.frame)

@@ -20,13 +20,13 @@ from offpiste.inspection.draft_values import (
     SMALL_CAR,
     WHEELBASES,
     WHEELS,
+    Driven,
+    driven,
     estimated_max_steer,
-    estimated_wheelbase,
-    is_of_steering_wheel,
+    shown_wheelbase,
     steering_straight,
     wheels_of,
 )
-from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.gear import reverses_by_pedal
 from offpiste.inspection.missing import no_pose
 from offpiste.inspection.recorded_log import ReceivedLog, is_bulk
@@ -34,7 +34,6 @@ from offpiste.inspection.several_clocks import read_by_arrival
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.channel import read_channel
-from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.channels import ANGLES, ChannelSource, Clock, undeclared
 from offpiste.rig.edits import edited, toml_value
@@ -79,15 +78,18 @@ def refuse_existing(path: Path) -> None:
         raise RigError("already exists", where=path, how="give --write-rig a new name")
 
 
-def draft_rig(log: Log) -> str:
+def draft_rig(log: Log, namespace: str = "") -> str:
     """Return a first rig as TOML for `offpiste.rig.rig.parse_rig`.
 
     Facts that only the motion shows are found by reading the log through the rig so far.
 
+    Args:
+        namespace: of the vehicle, if the log holds several, e.g. `/robot1`.
+
     Raises:
         LogError: no pose was found, or its samples cannot be read.
     """
-    text = _text(log, known := Known())
+    text = _text(log, known := Known(namespace))
     if read_by_arrival(log, parse_rig(text, where="the drafted rig")):  # as in the remedy
         log = ReceivedLog(log)
         text = _text(log, known)
@@ -102,10 +104,14 @@ def draft_rig(log: Log) -> str:
         rig = redrafted(known := replace(known, plain=True))
     if found := find_controls(log, rig):
         rig = redrafted(known := replace(known, found=found))
-    if is_of_steering_wheel(log, rig):
+    seen = driven(log, rig)
+    wheelbase, assumed = shown_wheelbase(seen), False
+    if wheelbase > WHEELBASES[1]:
         rig = redrafted(known := replace(known, in_hand=True))
-    wheelbase = estimated_wheelbase(log, rig)
-    max_steer, assumed = estimated_max_steer(log, rig, wheelbase or rig.vehicle.wheelbase), False
+        seen = driven(log, rig)
+    wheelbase = wheelbase if WHEELBASES[0] < wheelbase < WHEELBASES[1] else 0.0
+    steering = None if seen is None else seen.steering("steer")
+    max_steer = estimated_max_steer(log, rig, steering, wheelbase or rig.vehicle.wheelbase)
     if not wheelbase and max_steer and rig.channels["steer"].unit in ("rad", "deg"):  # a commanded angle
         shown = rig.vehicle.wheelbase * float(np.tan(rig.vehicle.max_steer) / np.tan(max_steer))
         wheelbase = shown if WHEELBASES[0] < shown < WHEELBASES[1] else 0.0
@@ -114,26 +120,26 @@ def draft_rig(log: Log) -> str:
         max_steer = _MAX_STEER
     known = replace(
         known,
-        frame=_frame(log, rig) if "linear_velocity" in rig.channels else "unknown",
+        frame=_frame(seen),
         wheelbase=wheelbase,
         max_steer=max_steer,
         assumed=assumed,
-        straight=steering_straight(log, rig),
+        straight=steering_straight(rig, steering),
         heading=next((str(edit.value) for edit in posed if edit.key == "channels.yaw.unit"), ""),
         backwards=reverses_by_pedal(log, rig),
     )
-    return text if known == Known() else _text(log, known)
+    return text if known == Known(namespace) else _text(log, known)
 
 
 def _is_plain(log: Log, rig: Rig) -> bool:
     """Return True if a field named as a turn rate is the steering: the yaw rate follows it times the speed."""
     source = rig.channels.get("steer")
-    if source is None or not source.turns:
+    seen = driven(log, rig) if source is not None and source.turns else None
+    if source is None or seen is None:
         return False
     plain = structs.replace(rig, channels={**rig.channels, "steer": ChannelSource(source.fields[:1], source.topic)})
     try:
-        path = driven_path(drive_from_log(log, rig))
-        return not is_turn_rate(read_channel(log, plain, "steer", plain.channels["steer"])[0], path, plain)
+        return not is_turn_rate(read_channel(log, plain, "steer", plain.channels["steer"])[0], seen.path, plain)
     except OffpisteError:
         return False
 
@@ -145,9 +151,9 @@ def _text(log: Log, known: Known) -> str:
     absent = undeclared(entries)
     parts = [_header(log, entries, absent, known)]
     if "steer" in absent:
-        why = _why_missing(log, "steer", "steer_angle")
+        why = _why_missing(log, known, "steer", "steer_angle")
         parts += [_NO_STEERING.format(why=why, candidates=steering_candidates(log))]
-    parts += [_NO_THROTTLE.format(why=_why_missing(log, "throttle"))] if "throttle" in absent else []
+    parts += [_NO_THROTTLE.format(why=_why_missing(log, known, "throttle"))] if "throttle" in absent else []
     parts += [_channel(log.topics[entry.guess.topic], channel, entry) for channel, entry in entries.items()]
     if points_down(log, entries["position"].guess):
         parts += ["[motion]  # GUESSED by the pose's name, or the type of its messages", 'axes = "ned"', ""]
@@ -220,9 +226,9 @@ def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:
     return [*(f"# {line}" for line in lines), ""] if lines else []
 
 
-def _why_missing(log: Log, *channels: str) -> str:
+def _why_missing(log: Log, known: Known, *channels: str) -> str:
     """Return the reason why a control has no field: unreadable, constant or not found."""
-    for guess in (guess for guess in guess_channels(log) if guess.channel in channels):
+    for guess in (guess for guess in guess_channels(log, known.namespace) if guess.channel in channels):
         try:
             log.read(guess.topic, guess.fields)
         except OffpisteError as error:
@@ -233,11 +239,9 @@ def _why_missing(log: Log, *channels: str) -> str:
     return "no field looks like it"
 
 
-def _frame(log: Log, rig: Rig) -> str:
+def _frame(seen: Driven | None) -> str:
     """Return the frame that best fits the recorded velocity, or "unknown" if ambiguous."""
-    try:
-        drive = drive_from_log(log, rig)
-        fits = sorted(fit_frames(drive, driven_path(drive)).values(), key=lambda fit: fit.misfit)
-    except OffpisteError:
+    if seen is None or "linear_velocity" not in seen.drive.channels:
         return "unknown"
+    fits = sorted(fit_frames(seen.drive, seen.path).values(), key=lambda fit: fit.misfit)
     return fits[0].frame if fits and fits[0].misfit < 0.3 else "unknown"

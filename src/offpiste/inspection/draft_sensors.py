@@ -1,9 +1,8 @@
 """Cameras and LiDARs of a first rig; unknown values are listed in comments."""
 
-import json
 import re
 from collections.abc import Sequence
-from itertools import islice
+from itertools import count, islice, takewhile
 from typing import Final, Literal
 
 import numpy as np
@@ -14,20 +13,18 @@ from offpiste.logs.log import Log
 from offpiste.logs.measurements import proposed_times, used_bits
 from offpiste.logs.ros.image_encodings import pixels_of
 from offpiste.logs.transforms import TRANSFORMS, Transform, between
+from offpiste.rig.edits import toml_value
+from offpiste.rig.labels import VOCABULARY, is_named
 from offpiste.rig.sensors import TIME_FIELDS
 
 BODY = "base_link"
 """Usual name of the body frame (REP 105)."""
-
 LEAST_POINTS = 100
 """Minimum number of points in a scan."""
-
 _FIRST: Final = 10
 """Number of images used to guess the bit depth."""
-
 _IMAGES = ("sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image")
-_NO_PICTURE = re.compile(r"depth|disparity|mask|label|theora", re.IGNORECASE)
-_NO_NAME = re.compile(r"^(image.*|compressed|raw|rect.*|color|rgb|points.*|cloud.*|pointcloud.*|sensors?|data)$", re.I)
+"""Types of images; compressed ones are usually recorded completely."""
 
 
 def draft_sensors(log: Log, pose_topic: str) -> str:
@@ -41,20 +38,28 @@ def draft_sensors(log: Log, pose_topic: str) -> str:
     """
     if not log.has_messages:
         return ""
-    cameras, lidars = _images(log), _scans(log)
-    if not cameras and not lidars:
+    pictures = [name for kind in _IMAGES for name in _of_type(log, kind) if not is_named("not_pictures", name)]
+    by_camera = {name.removesuffix("/compressed"): name for name in reversed(pictures)}
+    scans = [name for name in _of_type(log, "sensor_msgs/msg/PointCloud2") if _points(log, name) >= LEAST_POINTS]
+    if not pictures and not scans:
         return ""
-    topics = sorted(name for name, topic in log.topics.items() if topic.type in TRANSFORMS and topic.count)
+    topics = sorted(_of_type(log, *TRANSFORMS))
     fixed = [name for name in topics if name.endswith("static")] or topics
     transforms = log.transforms(fixed)
     body = _body(log, pose_topic, transforms)
-    parts = [_frames(body, fixed)]
+    lines = ["[frames]", f"body = {toml_value(body)}  # GUESSED: the frame whose pose the channels are of"]
+    missing = "# MISSING: transforms: no TF in the log; give body_from_camera and body_from_lidar below"
+    lines += [f"topics = {toml_value(fixed)}" if fixed else missing, ""]
     taken: set[str] = set()
-    for image in cameras:
-        parts.append(_camera(log, image, _name(image, taken, "camera"), body, transforms))
-    for scan in lidars:
-        parts.append(_lidar(log, scan, _name(scan, taken, "lidar"), body, transforms))
-    return "\n".join(parts)
+    for image in sorted(by_camera.values()):
+        name = _name(image, taken, "camera")
+        lines += _camera(log, image, name, _mounting(log, image, name, body, transforms, "body_from_camera"))
+    for scan in sorted(scans):
+        name = _name(scan, taken, "lidar")
+        lines += [f"[lidars.{name}]", f"topic = {toml_value(scan)}"]
+        lines += _mounting(log, scan, name, body, transforms, "body_from_lidar") + _times(log, scan, name)
+        lines += ["# own_body: a box in the body frame [m]; points in it are the vehicle itself", ""]
+    return "\n".join(lines)
 
 
 def missing(draft: str) -> list[str]:
@@ -62,19 +67,8 @@ def missing(draft: str) -> list[str]:
     return [line.partition("MISSING: ")[2] for line in draft.splitlines() if "MISSING: " in line]
 
 
-def _images(log: Log) -> list[str]:
-    """Return one image topic per camera, preferring compressed ones, which are usually recorded completely."""
-    result: dict[str, str] = {}
-    for kind in _IMAGES:
-        for name, topic in log.topics.items():
-            if topic.type == kind and topic.count and not _NO_PICTURE.search(name):
-                result.setdefault(name.removesuffix("/compressed"), name)
-    return sorted(result.values())
-
-
-def _scans(log: Log) -> list[str]:
-    names = [n for n, topic in log.topics.items() if topic.type == "sensor_msgs/msg/PointCloud2" and topic.count]
-    return sorted(name for name in names if _points(log, name) >= LEAST_POINTS)
+def _of_type(log: Log, *types: str) -> list[str]:
+    return [name for name, topic in log.topics.items() if topic.type in types and topic.count]
 
 
 def _points(log: Log, name: str) -> int:
@@ -83,29 +77,18 @@ def _points(log: Log, name: str) -> int:
 
 
 def _body(log: Log, pose_topic: str, transforms: Sequence[Transform]) -> str:
-    frames = {frame for t in transforms for frame in (t.parent, t.child)}
-    if BODY in frames:
+    if any(BODY in (transform.parent, transform.child) for transform in transforms):
         return BODY
     child = str(getattr(first_message(log, pose_topic) if pose_topic in log.topics else None, "child_frame_id", ""))
     return child.lstrip("/") or BODY
 
 
-def _frames(body: str, topics: Sequence[str]) -> str:
-    lines = ["[frames]", f"body = {_toml(body)}  # GUESSED: the frame whose pose the channels are of"]
-    if topics:
-        lines.append(f"topics = {_toml(list(topics))}")
-    else:
-        lines.append("# MISSING: transforms: no TF in the log; give body_from_camera and body_from_lidar below")
-    return "\n".join([*lines, ""])
-
-
-def _camera(log: Log, topic: str, name: str, body: str, transforms: list[Transform]) -> str:
-    info = _info(log, topic)
-    lines = [f"[cameras.{name}]", f"topic = {_toml(topic)}"]
-    if info:
-        lines.append(f"info = {_toml(info)}")
-        rectified = "rect" in topic.lower()
-        lines += ["rectified = true         # GUESSED by the topic's name"] if rectified else []
+def _camera(log: Log, topic: str, name: str, mounting: list[str]) -> list[str]:
+    """Return the lines of a camera, as comments if it lacks its calibration or images and would be rejected."""
+    lines = [f"[cameras.{name}]", f"topic = {toml_value(topic)}"]
+    if info := _info(log, topic):
+        lines.append(f"info = {toml_value(info)}")
+        lines += ["rectified = true         # GUESSED by the topic's name"] if "rect" in topic.lower() else []
     else:
         lines.append(f"# MISSING: calibration of {name}: no CameraInfo beside {topic}; give cameras.{name}.intrinsics")
     try:
@@ -113,10 +96,8 @@ def _camera(log: Log, topic: str, name: str, body: str, transforms: list[Transfo
     except LogError as error:
         info = ""
         lines.append(f"# MISSING: pictures of {name}: {error.what}")
-    lines += _mounting(log, topic, name, body, transforms, "body_from_camera")
-    lines += ["# own_body: polygons in the image [px] where the vehicle sees itself", ""]
-    # Cameras without calibration or images would be rejected, so they are commented out.
-    return "\n".join(lines if info else [line if line.startswith("#") or not line else f"# {line}" for line in lines])
+    lines += [*mounting, "# own_body: polygons in the image [px] where the vehicle sees itself", ""]
+    return lines if info else [line if line.startswith("#") or not line else f"# {line}" for line in lines]
 
 
 def _bits(log: Log, topic: str) -> list[str]:
@@ -130,14 +111,6 @@ def _bits(log: Log, topic: str) -> list[str]:
     return [f"bits = {used_bits(max(deep))}                  # GUESSED by the first images"] if deep else []
 
 
-def _lidar(log: Log, topic: str, name: str, body: str, transforms: list[Transform]) -> str:
-    lines = [f"[lidars.{name}]", f"topic = {_toml(topic)}"]
-    lines += _mounting(log, topic, name, body, transforms, "body_from_lidar")
-    lines += _times(log, topic, name)
-    lines += ["# own_body: a box in the body frame [m]; points in it are the vehicle itself", ""]
-    return "\n".join(lines)
-
-
 def _times(log: Log, topic: str, name: str) -> list[str]:
     """Return the settings for a LiDAR's point times, from its first scan."""
     try:
@@ -147,7 +120,7 @@ def _times(log: Log, topic: str, name: str) -> list[str]:
     entries = proposed_times(first, float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0)
     if entries:
         why = "# GUESSED by the first scan: remove these where scans are compensated already"
-        return [why, *(f"{key} = {_toml(value)}" for key, value in entries.items())]
+        return [why, *(f"{key} = {toml_value(value)}" for key, value in entries.items())]
     times = [field for field in TIME_FIELDS if field in (first.points.dtype.names or ())]
     what = f"# MISSING: time of the points of {name}: no unit of '{{}}' puts them near the stamp; give time_field and"
     return [what.format(times[0]) + " time_unit, unless scans are compensated already"] if times else []
@@ -166,31 +139,22 @@ def _mounting(log: Log, topic: str, name: str, body: str, transforms: list[Trans
     return [f"# its messages are of frame '{frame}', which the transforms join to '{body}'"]
 
 
-_SIDES: tuple[tuple[Literal["left", "right", "back"], re.Pattern[str]], ...] = (
-    ("left", re.compile(r"(^|_)left(_|$)", re.I)),
-    ("right", re.compile(r"(^|_)right(_|$)", re.I)),
-    ("back", re.compile(r"(^|_)(back|rear)(_|$)", re.I)),
-)
-
-
 def looks(name: str) -> Literal["forward", "left", "back", "right"]:
     """Return a sensor's viewing direction, guessed from its name; forward by default.
 
     A name with `front` denotes a forward sensor, even with `left` or `right` of a stereo pair.
     """
-    if re.search(r"(^|_)(front|forward|stereo)(_|$)", name, re.I):
-        return "forward"
-    return next((side for side, pattern in _SIDES if pattern.search(name)), "forward")
+    directions: dict[Literal["forward", "left", "back", "right"], str] = VOCABULARY["draft"]["looks"]
+    return next((side for side, names in directions.items() if re.search(names, name)), "forward")
 
 
 def _info(log: Log, image: str) -> str:
     """Return the CameraInfo topic that shares the longest path with an image topic; a single one need not share any."""
-    infos = [name for name, topic in log.topics.items() if topic.type == "sensor_msgs/msg/CameraInfo" and topic.count]
-    parts = image.strip("/").split("/")
+    infos = _of_type(log, "sensor_msgs/msg/CameraInfo")
 
     def shared(info: str) -> int:
-        pairs = zip(parts, info.strip("/").split("/"), strict=False)
-        return next((k for k, (one, other) in enumerate(pairs) if one != other), len(parts))
+        pairs = zip(image.strip("/").split("/"), info.strip("/").split("/"), strict=False)
+        return len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
 
     best = max(infos, key=shared, default="")
     return best if best and (shared(best) or len(infos) == 1) else ""
@@ -198,14 +162,9 @@ def _info(log: Log, image: str) -> str:
 
 def _name(topic: str, taken: set[str], kind: str) -> str:
     """Return the parts of a topic's path that distinguish a sensor from others."""
-    said = [part for part in topic.strip("/").split("/") if not _NO_NAME.match(part)]
-    name = re.sub(r"\W+", "_", "_".join(said)) or kind
-    number, wanted = 2, name
-    while name in taken:
-        name, number = f"{wanted}_{number}", number + 1
+    said = [part for part in topic.strip("/").split("/") if not is_named("not_sensor_names", part)]
+    wanted = re.sub(r"\W+", "_", "_".join(said)) or kind
+    numbered = (f"{wanted}_{number}" if number > 1 else wanted for number in count(1))
+    name = next(name for name in numbered if name not in taken)
     taken.add(name)
     return name
-
-
-def _toml(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False)

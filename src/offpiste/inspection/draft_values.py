@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from itertools import product
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +13,7 @@ from offpiste.inspection.channel_guesses import Guess
 from offpiste.inspection.commanded_motion import commanded_curvature
 from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.steering_fit import steering_fits
+from offpiste.inspection.steering_fit import SteeringFit, steering_fits
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log, Samples
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
@@ -109,30 +109,37 @@ def _before(
     return np.asarray(values[np.maximum(np.searchsorted(time, at) - 1, 0)])
 
 
-def estimated_wheelbase(log: Log, rig: Rig) -> float:
-    """Estimate the wheelbase by yaw rate = speed * tan(angle) / wheelbase, from the steering angle and the poses [m].
+class Driven(NamedTuple):
+    """A log as read through a rig, and the driven path."""
+
+    drive: Drive
+    path: DrivenPath
+
+    def steering(self, name: str) -> SteeringFit | None:
+        """Return the fit of the turning to a steering channel; None if the rig lacks it or the motion is too short."""
+        return steering_fits(self.drive, self.path, measured=False).get(name)
+
+
+def driven(log: Log, rig: Rig) -> Driven | None:
+    """Read a log through a rig; None if that fails."""
+    try:
+        return Driven(drive := drive_from_log(log, rig), driven_path(drive))
+    except OffpisteError:
+        return None
+
+
+def shown_wheelbase(seen: Driven | None) -> float:
+    """Return the wheelbase in yaw rate = speed * tan(angle) / wheelbase, from the steering angle and the poses [m].
+
+    It is implausible (`WHEELBASES`) if the angle is that of the steering wheel, which turns the vehicle less.
 
     Returns:
         0 without a steering angle, or if the vehicle does not clearly follow it.
     """
-    wheelbase = _shown_wheelbase(log, rig)
-    return wheelbase if WHEELBASES[0] < wheelbase < WHEELBASES[1] else 0.0
-
-
-def is_of_steering_wheel(log: Log, rig: Rig) -> bool:
-    """Return True if the rig's road wheel angle turns the vehicle as little as a steering wheel angle."""
-    return _shown_wheelbase(log, rig) > WHEELBASES[1]
-
-
-def _shown_wheelbase(log: Log, rig: Rig) -> float:
-    """Return the wheelbase implied by the steering angle, plausible or not [m], or 0."""
-    if "steer_angle" not in rig.channels:
+    if seen is None or "steer_angle" not in seen.drive.rig.channels:
         return 0.0
-    driven = _driven(log, rig)
-    if driven is None:
-        return 0.0
-    drive, path = driven
-    angle = drive.channels["steer_angle"].linear(path.time, max_gap=rig.clock.max_gap)[:, 0]
+    drive, path = seen
+    angle = drive.channels["steer_angle"].linear(path.time, max_gap=drive.rig.clock.max_gap)[:, 0]
     turning = path.forward * np.tan(angle)
     rows = np.isfinite(turning) & np.isfinite(path.yaw_rate) & (path.speed > 0.2 * path.cruise)
     rows &= np.abs(angle) < WIDEST  # the tangent is unbounded
@@ -141,49 +148,42 @@ def _shown_wheelbase(log: Log, rig: Rig) -> float:
     if abs(np.corrcoef(turning[rows], path.yaw_rate[rows])[0, 1]) < _CLEAR:
         return 0.0
     wheelbase = abs(float(turning[rows] @ turning[rows] / (turning[rows] @ path.yaw_rate[rows])))
-    fit = steering_fits(drive, path, measured=False).get("steer_angle")
-    without_slip = None if fit is None else fit.extrapolated
-    if without_slip is not None and without_slip.strength > _CLEAR:  # slip increases the apparent wheelbase
-        wheelbase = min(wheelbase, abs(float(without_slip.gain[0])))
+    fit = seen.steering("steer_angle")
+    if fit is not None and fit.extrapolated is not None and fit.extrapolated.strength > _CLEAR:
+        wheelbase = min(wheelbase, abs(float(fit.extrapolated.gain[0])))  # slip increases the apparent wheelbase
     return wheelbase
 
 
-def estimated_max_steer(log: Log, rig: Rig, wheelbase: float) -> float:
+def estimated_max_steer(log: Log, rig: Rig, fit: SteeringFit | None, wheelbase: float) -> float:
     """Estimate the road wheel angle at steer = 1 [rad] from poses: yaw rate = speed * steer * tan(angle) / wheelbase.
 
     For a commanded turn rate, it is the angle of the sharpest commanded curves.
 
     Args:
+        fit: of the channel `steer`.
         wheelbase: assumed wheelbase [m].
 
     Returns:
         0 without a steering, or if the vehicle does not clearly follow it.
     """
-    if "steer" in rig.channels and rig.channels["steer"].turns:
-        raw = log.read(rig.channels["steer"].topic, rig.channels["steer"].fields).values
-        return float(f"{np.arctan(commanded_curvature(raw, rig) * wheelbase):.3g}")
-    driven = _driven(log, rig) if "steer" in rig.channels else None
-    fit = None if driven is None else steering_fits(*driven, measured=False).get("steer")
-    if fit is None or fit.gripping.strength < _CLEAR:
+    source = rig.channels.get("steer")
+    if source is not None and source.turns:
+        curvature = commanded_curvature(log.read(source.topic, source.fields).values, rig)
+    elif fit is not None and fit.gripping.strength >= _CLEAR:
+        curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
+    else:
         return 0.0
-    curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
     return float(f"{np.arctan(curvature * wheelbase):.3g}")
 
 
-def _driven(log: Log, rig: Rig) -> tuple[Drive, DrivenPath] | None:
-    try:
-        drive = drive_from_log(log, rig)
-        return drive, driven_path(drive)
-    except OffpisteError:
-        return None
+def steering_straight(rig: Rig, fit: SteeringFit | None) -> float | None:
+    """Return the recorded steering in straight driving if its centre is guessed; None if unclear.
 
-
-def steering_straight(log: Log, rig: Rig) -> float | None:
-    """Return the recorded steering in straight driving if its centre is guessed; None if unclear."""
+    Args:
+        fit: of the channel `steer`.
+    """
     source = rig.channels.get("steer")
-    driven = None if source is None or not source.offset else _driven(log, rig)
-    fit = None if driven is None else steering_fits(*driven, measured=False).get("steer")
-    if source is None or fit is None or fit.gripping.strength < _CLEAR:
+    if source is None or not source.offset or fit is None or fit.gripping.strength < _CLEAR:
         return None
     if not fit.centre_sigma < _CENTRE < abs(fit.centre):  # the usual centre may be correct
         return None

@@ -120,17 +120,18 @@ def topic_rows(log: Log, recorded: dict[str, Recorded], clock: Clock) -> tuple[T
     return tuple(rows)
 
 
-def inspect_log(log: Log, rig: Rig | None = None, *, sensors: bool = False) -> Inspection:
+def inspect_log(log: Log, rig: Rig | None = None, *, sensors: bool = False, namespace: str = "") -> Inspection:
     """Inspect a log, optionally as read through a rig.
 
     Args:
         rig: channels are checked after conversion, so that a correct rig removes findings. Without one, topics are
             checked as recorded, and the motion with a rig drafted from names (`draft_rig`).
         sensors: also check the rig's cameras and LiDARs; takes up to some minutes.
+        namespace: of the vehicle, if the log holds several; for a draft.
     """
     rig = None if rig is None else with_fields_of(log, rig)
     remembered = RememberedLog(log, rig)
-    used_rig, unusable = (rig, []) if rig is not None else _drafted(remembered)
+    used_rig, unusable = (rig, []) if rig is not None else _drafted(remembered, namespace)
     given = rig is not None
     examined = examine(remembered, used_rig, given=given)
     findings = examined.findings
@@ -155,8 +156,8 @@ def inspect_log(log: Log, rig: Rig | None = None, *, sensors: bool = False) -> I
     return inspection
 
 
-def _drafted(log: Log) -> tuple[Rig | None, list[Finding]]:
+def _drafted(log: Log, namespace: str) -> tuple[Rig | None, list[Finding]]:
     try:
-        return parse_rig(draft_rig(log), where="the drafted rig"), []
+        return parse_rig(draft_rig(log, namespace), where="the drafted rig"), []
     except OffpisteError as error:
         return None, [Finding("fatal", "log", error.what, UNDRAFTED, error.how, 1.0)]

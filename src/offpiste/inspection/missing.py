@@ -1,6 +1,5 @@
 """Missing and unused data: a log's topics and fields compared with a rig's channels, or a log without a pose."""
 
-import re
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from typing import Final
@@ -18,29 +17,15 @@ from offpiste.logs.log import Log
 from offpiste.logs.transforms import FramePair, frame_pair, listed
 from offpiste.rig.channels import POSE, ChannelSource, topic_in_words
 from offpiste.rig.edits import Edit, absent
-from offpiste.rig.labels import named_axis, named_coordinate
+from offpiste.rig.labels import is_named, named_axis, named_coordinate
 from offpiste.rig.rig import Rig
 
 _LISTED: Final = 12
-_COMMAND: Final = "joy|com+and|cmd|control"
-_NAMES: Final = {
-    "throttle": "throttle|(?<![a-z])gas(?![a-z])|pedal|accelerator",
-    "brake": "brak(e|ing)|pedal",
-    "steer": "steer",
-}
-"""Names of topics and fields of a control."""
-_BESIDES: Final = re.compile(r"(^|[._/])stamp([._]|$)|covariance")
-"""Numeric fields that do not belong to a control."""
+"""Maximum number of topics or fields in the evidence."""
 _FIELDS: Final = 6
 """Maximum number of fields listed per topic."""
 BY_HAND: Final = "write a rig that names one"
 """Remedy if no name indicates a pose."""
-_LONG: Final = "the table is long: it has a line, not a column, for each signal"
-_IN_EARTH: Final = "positions in the earth's own frame (ECEF) are not read"
-_SIGNAL: Final = re.compile(r"signal|name|channel|variable|parameter|field|topic|key", re.IGNORECASE)
-_VALUE: Final = re.compile(r"(?<![a-z])(value|val|data|reading)$", re.IGNORECASE)
-"""Value columns of a long-format table."""
-_ECEF: Final = re.compile(r"(?<![a-z])ecef[_. ]*(pos(ition)?)?[_. ]*[xyz](?![a-z])", re.IGNORECASE)
 
 
 def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
@@ -131,8 +116,7 @@ def _as_read(source: ChannelSource) -> tuple[object, ...]:
 def check_unread(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
     """Return a note if the rig lacks a control although unused topics or fields are named like one."""
     lacking = [control.name for control in CONTROLS if control.name not in rig.channels]
-    named = re.compile("|".join((_COMMAND, *(_NAMES[name] for name in lacking))), re.IGNORECASE)
-    there = list(_unread(recorded, rig, named)) if lacking else []
+    there = list(_unread(recorded, rig, lacking)) if lacking else []
     if not there:
         return []
     names = ", ".join(lacking)
@@ -141,15 +125,19 @@ def check_unread(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
     return [Finding("note", names, what, f"nothing reads {'; '.join(there)}", remedy, 0.3)]
 
 
-def _unread(recorded: dict[str, Recorded], rig: Rig, named: re.Pattern[str]) -> Iterator[str]:
+def _unread(recorded: dict[str, Recorded], rig: Rig, lacking: Sequence[str]) -> Iterator[str]:
     """Yield descriptions of unused topics and fields named like a control: topic, type and fields."""
+
+    def named(name: str) -> bool:
+        return any(is_named(f"{kind}_names", name.lower()) for kind in ("command", *lacking))
+
     for name, r in recorded.items():
         read = {field for source in rig.channels.values() if source.topic == name for field in source.fields}
         still = {field for field, column in zip(r.fields, r.values.T, strict=True) if not _changes(column)}
         fields = [field for field in (r.topic.fields if name else r.fields) if field not in read | still]
-        fields = [field for field in fields if not _BESIDES.search(field)]
-        if read or is_measured_topic(r.topic) or not named.search(name):
-            fields = [field for field in fields if named.search(r.topic.in_words(field))]
+        fields = [field for field in fields if not is_named("not_controls", field)]
+        if read or is_measured_topic(r.topic) or not named(name):
+            fields = [field for field in fields if named(r.topic.in_words(field))]
         if fields:
             listed = ", ".join(map(r.topic.in_words, fields[:_FIELDS])) + (", ..." if len(fields) > _FIELDS else "")
             yield f"{name} ({r.topic.type}: {listed})" if name else listed
@@ -168,9 +156,11 @@ def no_pose(log: Log) -> LogError:
         if list(log.topics) != [""]:
             has = ("no topic has a message", "no topic has more than one message")
         return LogError(has[most], where=log.path, how="a drive needs many: record or export it again")
-    for what, remedy in ((_LONG, _pivoted(log)), (_IN_EARTH, _from_earth(log))):
-        if remedy:
-            return LogError(what, where=log.path, how=remedy)
+    if remedy := _pivoted(log):
+        what = "the table is long: it has a line, not a column, for each signal"
+        return LogError(what, where=log.path, how=remedy)
+    if remedy := _from_earth(log):
+        return LogError("positions in the earth's own frame (ECEF) are not read", where=log.path, how=remedy)
     how = _not_read(log) or f"{_inverse_pose(log)}{BY_HAND}"
     return LogError(
         "no topic looks like a pose (position and heading)",
@@ -208,8 +198,8 @@ def _pivoted(log: Log) -> str:
     if table is None:
         return ""
     numbers = [name for name in table.fields if name != log.clock.column]
-    values = numbers if len(numbers) == 1 else [name for name in numbers if _VALUE.search(name)]
-    signals = [name for name in table.unread if _SIGNAL.search(name)]
+    values = numbers if len(numbers) == 1 else [name for name in numbers if is_named("signal_values", name)]
+    signals = [name for name in table.unread if is_named("signal_names", name)]
     if not values or not signals:
         return ""
     columns = f"values='{values[0]}', index='{log.clock.column}', columns='{signals[0]}'"
@@ -218,7 +208,7 @@ def _pivoted(log: Log) -> str:
 
 def _from_earth(log: Log) -> str:
     """Return the replacement for ECEF positions; "" if no field is named as one."""
-    fields = [field for topic in log.topics.values() for field in topic.fields if _ECEF.search(field)]
+    fields = [field for topic in log.topics.values() for field in topic.fields if is_named("ecef", field)]
     if len(fields) < 3:
         return ""
     geographic = f"write latitude and longitude [deg] beside {', '.join(fields[:3])} (pyproj: EPSG:4978 to EPSG:4979)"
