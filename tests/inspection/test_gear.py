@@ -81,7 +81,7 @@ def test_a_gear_that_goes_with_the_motion_is_right_and_one_that_does_not_is_foun
 def test_first_rigs_have_the_gear(field: str, recorded: tuple[float, ...], line: str) -> None:
     time = np.arange(100) / 10
     log = Plain(box=(time, {field: np.resize(recorded, 100), "gear_ratio": time}))
-    entry = draft_channels(log, "body")["gear"]
+    entry = draft_channels(log)["gear"]
     assert entry.guess.fields == (field,)
     assert entry.lines == ((line,) if line else ())
 

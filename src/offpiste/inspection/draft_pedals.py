@@ -13,7 +13,7 @@ from offpiste.inspection.draft_pose import Entry, unit_line
 from offpiste.inspection.gear import DIRECTION
 from offpiste.inspection.signal_faults import find_wrap
 from offpiste.inspection.usual_ranges import (
-    FULL_PULSE,
+    RANGES,
     are_pulses,
     full_scale,
     held_range,
@@ -105,9 +105,9 @@ def signed_pedal(scalars: Mapping[str, Scalar], *, backwards: bool = False) -> d
     words = f"GUESSED by its name and numbers, {low:.4g}..{high:.4g} seen"
     if are_pulses(throttle.values, named=are_named_pulses(guess)):
         rest = pulse_at_rest(throttle.values)
-        full = FULL_PULSE - rest
+        full = RANGES["full_pulse"] - rest
         lines: tuple[str, ...] = (f"scale = {number(1 / full)}", f"offset = {number(-rest / full)}")
-        words += f" and pulses (is full throttle {FULL_PULSE:g}?)"
+        words += f" and pulses (is full throttle {RANGES['full_pulse']:g}?)"
     elif _is_two_way(throttle, is_only="brake" not in scalars):
         rest, (lines, full) = 0.0, _scaled(guess, max(-low, high))
     else:

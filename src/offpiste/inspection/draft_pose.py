@@ -12,11 +12,12 @@ from offpiste.inspection.channel_guesses import Guess, by_topic
 from offpiste.inspection.course import check_course
 from offpiste.inspection.draft_values import BY_NUMBERS, heading_by_numbers
 from offpiste.inspection.driven_path import driven_path
-from offpiste.inspection.field_groups import are_earth_centred, w_comes_first
+from offpiste.inspection.field_groups import w_comes_first
 from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.pose import check_orientation, check_position_unit
 from offpiste.inspection.pose_samples import check_level
 from offpiste.inspection.signal_faults import degrees_each
+from offpiste.inspection.usual_ranges import RANGES
 from offpiste.logs.channel import brought_together, read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
@@ -28,6 +29,8 @@ from offpiste.rig.rig import Rig
 _POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
 _DENSE: Final = 4.0
 """Rate below which a pose has lower priority [1/s]."""
+_EASTING: Final = 1e6
+"""Threshold between projected and Earth-centred coordinates; northings may exceed it [m]."""
 _RATES: Final = {"angular_velocity", "yaw_rate"}
 
 
@@ -148,8 +151,10 @@ def _is_earth_centred(log: Log, place: Guess | None) -> bool:
     """Return True if a position is Earth-centred by its name or its values."""
     if place is None or place.unit == GEOGRAPHIC:
         return False
-    values = field_values(log, place)
-    return is_named("earth", place.topic) or (values is not None and are_earth_centred(values))
+    values, (least, most) = field_values(log, place), RANGES["earth"]
+    middle = np.zeros(3) if values is None else np.sort(np.abs(np.median(values, axis=0)))
+    far = least < float(np.linalg.norm(middle)) < most and len(middle) > 2 and middle[1] > _EASTING
+    return is_named("earth", place.topic) or bool(far)
 
 
 def _places_and_headings(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:

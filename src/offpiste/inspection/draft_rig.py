@@ -16,10 +16,7 @@ from offpiste.inspection.draft_channels import Known, draft_channels
 from offpiste.inspection.draft_pose import Entry, field_values, points_down, pose_cure
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
-    MASS,
     SMALL_CAR,
-    WHEELBASES,
-    WHEELS,
     Driven,
     driven,
     estimated_max_steer,
@@ -32,6 +29,7 @@ from offpiste.inspection.missing import no_pose
 from offpiste.inspection.recorded_log import ReceivedLog, is_bulk
 from offpiste.inspection.several_clocks import read_by_arrival
 from offpiste.inspection.steering_scale import MAX_STEERS
+from offpiste.inspection.usual_ranges import RANGES
 from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.channel import read_channel
 from offpiste.logs.log import Log, Topic
@@ -104,17 +102,17 @@ def draft_rig(log: Log, namespace: str = "") -> str:
         rig = redrafted(known := replace(known, plain=True))
     if found := find_controls(log, rig):
         rig = redrafted(known := replace(known, found=found))
-    seen = driven(log, rig)
+    seen, (shortest, longest) = driven(log, rig), RANGES["wheelbases"]
     wheelbase, assumed = shown_wheelbase(seen), False
-    if wheelbase > WHEELBASES[1]:
+    if wheelbase > longest:
         rig = redrafted(known := replace(known, in_hand=True))
         seen = driven(log, rig)
-    wheelbase = wheelbase if WHEELBASES[0] < wheelbase < WHEELBASES[1] else 0.0
+    wheelbase = wheelbase if shortest < wheelbase < longest else 0.0
     steering = None if seen is None else seen.steering("steer")
     max_steer = estimated_max_steer(log, rig, steering, wheelbase or rig.vehicle.wheelbase)
     if not wheelbase and max_steer and rig.channels["steer"].unit in ("rad", "deg"):  # a commanded angle
         shown = rig.vehicle.wheelbase * float(np.tan(rig.vehicle.max_steer) / np.tan(max_steer))
-        wheelbase = shown if WHEELBASES[0] < shown < WHEELBASES[1] else 0.0
+        wheelbase = shown if shortest < shown < longest else 0.0
     if max_steer > MAX_STEERS[1] and not wheelbase:  # a vehicle smaller than the default
         wheelbase, assumed = rig.vehicle.wheelbase * float(np.tan(_MAX_STEER) / np.tan(max_steer)), True
         max_steer = _MAX_STEER
@@ -172,10 +170,9 @@ def _channel(topic: Topic, channel: str, entry: Entry) -> str:
 
 
 def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], known: Known) -> str:
-    name, wheelbase = log.path.resolve().name.split(".")[0], known.wheelbase
-    wheels = WHEELS if not wheelbase else wheels_of(wheelbase)
+    name, wheelbase = log.path.resolve().name.split(".")[0], known.wheelbase or SMALL_CAR
     source = f"{GUESSED}: mass and wheel positions are a small car's"
-    if wheelbase:
+    if known.wheelbase:
         by = f"that turns so with {_MAX_STEER} rad" if known.assumed else "by yaw rate and steering angle"
         source = f"{GUESSED}: a wheelbase of {wheelbase:.3g} m {by}; the rest is made up"
     stated = next((entry.max_angle for entry in entries.values() if entry.max_angle), 0.0)
@@ -184,10 +181,10 @@ def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], known: Kn
         quoted=toml_value(name),
         absent=toml_value(absent),
         source=toml_value(source),
-        mass=MASS if not wheelbase else float(f"{MASS * (wheelbase / SMALL_CAR) ** 3:.2g}"),
+        mass=float(f"{RANGES['mass'] * (wheelbase / SMALL_CAR) ** 3:.2g}"),
         max_steer=stated or known.max_steer or _MAX_STEER,
         origin=_origin(known, entries["steer"] if stated else None),
-        wheels=toml_value(wheels),
+        wheels=toml_value(wheels_of(wheelbase)),
     )
 
 

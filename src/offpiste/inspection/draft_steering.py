@@ -10,17 +10,12 @@ from offpiste.inspection.channel_guesses import FALLBACK, MOTION
 from offpiste.inspection.commanded_motion import motion_lines
 from offpiste.inspection.draft_pedals import LARGEST_SHARE, Scalar, are_named_pulses
 from offpiste.inspection.draft_pose import Entry, unit_line
-from offpiste.inspection.draft_values import WIDEST
 from offpiste.inspection.signal_faults import find_spikes
-from offpiste.inspection.usual_ranges import steering_middle
+from offpiste.inspection.usual_ranges import RANGES, steering_middle
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.edits import number, rounded
 from offpiste.rig.labels import channel_unit, is_named, parse_label
 
-_STEERING_WHEEL: Final = 130.0
-"""Minimum full-scale value in degrees that implies the steering wheel's angle."""
-_STEEPEST: Final = 1.4
-"""Maximum drafted `max_steer` [rad]."""
 _ALIKE: Final = (0.9, 1.1)
 """Ratio of the largest command to the largest measured angle if the command is an angle."""
 
@@ -56,7 +51,7 @@ def draft_steering(scalars: Mapping[str, Scalar], straight: float | None, max_st
         entries["steer_angle"] = Entry(angle.guess, lines, comment)
         if not entries["steer"].max_angle:
             stated = rounded(angle.largest * factor / min(command.largest, 1.0))
-            entries["steer"] = replace(entries["steer"], max_angle=stated if stated < _STEEPEST else 0.0)
+            entries["steer"] = replace(entries["steer"], max_angle=stated if stated < RANGES["steepest"] else 0.0)
     return entries | in_hand
 
 
@@ -112,9 +107,9 @@ def _command(steer: Scalar, straight: float | None) -> Entry:
         comment += f"; scaled by its largest value, {largest:.4g}"
         if curvature:
             comment += ": a curvature, max_steer is the angle of the road wheels that it asks for"
-        elif _is_angle(steer) or largest > _STEERING_WHEEL:
+        elif _is_angle(steer) or largest > RANGES["steering_wheel"]:
             comment += ": of a steering wheel, max_steer is that over the steering's ratio"
-        elif largest < _STEEPEST * 180 / np.pi:
+        elif largest < RANGES["steepest"] * 180 / np.pi:
             comment += ': is it an angle of the road wheels? Then unit = "deg" instead'
     elif low > 0 and 0.3 < np.median(values) < 0.7:
         lines, comment = ("scale = 2.0", "offset = -1.0"), f"{comment}; 0..1 read as -1..1"
@@ -134,4 +129,4 @@ def _to_radians(steer: Scalar) -> float:
         return 0.0
     units = [channel_unit("steer_angle", guess.unit) or ""] if guess.unit else ["", "deg"]
     factors = (unit_factor("steer_angle", unit) for unit in units)
-    return next((factor for factor in factors if 0 < steer.largest * factor <= WIDEST), 0.0)
+    return next((factor for factor in factors if 0 < steer.largest * factor <= RANGES["widest"]), 0.0)

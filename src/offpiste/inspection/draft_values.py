@@ -14,6 +14,7 @@ from offpiste.inspection.commanded_motion import commanded_curvature
 from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.steering_fit import SteeringFit, steering_fits
+from offpiste.inspection.usual_ranges import RANGES
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log, Samples
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
@@ -21,20 +22,10 @@ from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.labels import COMMANDED
 from offpiste.rig.rig import Rig, Vehicle
 
-MASS: Final = 1000.0
-"""Mass of a small car [kg]."""
-WHEELS: Final = ((1.0, 0.7), (1.0, -0.7), (-1.0, 0.7), (-1.0, -0.7))
-"""Wheel positions of a small car, from its centre [m]."""
-SMALL_CAR: Final = WHEELS[0][0] - WHEELS[2][0]
+SMALL_CAR: Final = RANGES["wheels"][0][0] - RANGES["wheels"][2][0]
 """Wheelbase of a small car [m]; masses are scaled with its cube."""
 DRAFTED: Final = "mass and wheel positions are still those of the draft"
 """Finding reported while `vehicle.source` still names the draft or is empty."""
-WIDEST: Final = 1.05
-"""Maximum angle of road wheels [rad]; larger ones are the steering wheel's."""
-WHEELBASES: Final = (0.05, 8.0)
-"""Plausible wheelbases [m]."""
-_DENSITIES: Final = (2.0, 5000.0)
-"""Plausible ratios of mass to cubed wheelbase [kg/m^3]: cars have about 80, trucks 200, dense small robots 1000."""
 _UNITS: Final = ("cm", "mm", "ft")
 """Units commonly mistaken for metres."""
 _CLEAR: Final = 0.8
@@ -131,7 +122,7 @@ def driven(log: Log, rig: Rig) -> Driven | None:
 def shown_wheelbase(seen: Driven | None) -> float:
     """Return the wheelbase in yaw rate = speed * tan(angle) / wheelbase, from the steering angle and the poses [m].
 
-    It is implausible (`WHEELBASES`) if the angle is that of the steering wheel, which turns the vehicle less.
+    It is implausibly long if the angle is that of the steering wheel, which turns the vehicle less.
 
     Returns:
         0 without a steering angle, or if the vehicle does not clearly follow it.
@@ -142,7 +133,7 @@ def shown_wheelbase(seen: Driven | None) -> float:
     angle = drive.channels["steer_angle"].linear(path.time, max_gap=drive.rig.clock.max_gap)[:, 0]
     turning = path.forward * np.tan(angle)
     rows = np.isfinite(turning) & np.isfinite(path.yaw_rate) & (path.speed > 0.2 * path.cruise)
-    rows &= np.abs(angle) < WIDEST  # the tangent is unbounded
+    rows &= np.abs(angle) < RANGES["widest"]  # the tangent is unbounded
     if rows.sum() < 40 or np.ptp(turning[rows]) == 0 or np.ptp(path.yaw_rate[rows]) == 0:
         return 0.0
     if abs(np.corrcoef(turning[rows], path.yaw_rate[rows])[0, 1]) < _CLEAR:
@@ -193,7 +184,7 @@ def steering_straight(rig: Rig, fit: SteeringFit | None) -> float | None:
 def wheels_of(wheelbase: float) -> tuple[tuple[float, float], ...]:
     """Return the wheel positions of a small car, scaled to a wheelbase [m]."""
     scale = wheelbase / SMALL_CAR
-    return tuple((float(f"{x * scale:.3g}"), float(f"{y * scale:.3g}")) for x, y in WHEELS)
+    return tuple((float(f"{x * scale:.3g}"), float(f"{y * scale:.3g}")) for x, y in RANGES["wheels"])
 
 
 def check_draft_values(rig: Rig) -> list[Finding]:
@@ -210,13 +201,14 @@ def check_draft_values(rig: Rig) -> list[Finding]:
 def check_size(rig: Rig) -> list[Finding]:
     """Return a warning if wheel positions and mass are implausible, i.e. one of them is in another unit."""
     vehicle = rig.vehicle
-    if _left(vehicle) or _DENSITIES[0] < vehicle.mass / vehicle.wheelbase**3 < _DENSITIES[1]:
+    least, most = RANGES["densities"]
+    if _left(vehicle) or least < vehicle.mass / vehicle.wheelbase**3 < most:
         return []
     evidence = f"a wheelbase of {vehicle.wheelbase:.3g} m with {vehicle.mass:.3g} kg"
     remedy, cures = "vehicle.wheel_positions are in m, vehicle.mass is in kg", []
     for unit in _UNITS:
         factor = unit_factor("position", unit)
-        if _DENSITIES[0] < vehicle.mass / (factor * vehicle.wheelbase) ** 3 < _DENSITIES[1]:
+        if least < vehicle.mass / (factor * vehicle.wheelbase) ** 3 < most:
             places = [[rounded(factor * x), rounded(factor * y)] for x, y in vehicle.wheel_positions]
             cures.append((Edit("vehicle.wheel_positions", places),))
             remedy += f"; if these are in {unit}: {cures[-1][0]}"
@@ -227,8 +219,7 @@ def check_size(rig: Rig) -> list[Finding]:
 
 def _left(vehicle: Vehicle) -> list[str]:
     """Return the parameters that may still be defaults."""
-    guessed = vehicle.is_guessed
-    as_drafted = not vehicle.source and vehicle.mass == MASS and vehicle.wheel_positions == WHEELS
-    if not guessed and not as_drafted:
+    made_up = (vehicle.mass, vehicle.wheel_positions) == (RANGES["mass"], wheels_of(SMALL_CAR))
+    if not vehicle.is_guessed and (vehicle.source or not made_up):
         return []
     return [f"mass = {vehicle.mass:g} kg", f"a wheelbase of {vehicle.wheelbase:.3g} m"]

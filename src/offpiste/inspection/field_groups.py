@@ -17,9 +17,6 @@ from offpiste.rig.labels import GEOGRAPHIC_NAMES, PATTERNS, VOCABULARY, Label, i
 Group = tuple[str, tuple[str, ...], str, int]
 """A channel, its candidate fields, their unit, and the rank of their names (0 is best)."""
 
-_RADII: Final = (6.34e6, 6.39e6)
-_EASTING: Final = 1e6
-"""Threshold between projected and Earth-centred coordinates; northings may exceed it [m]."""
 _UNIT, _MOST = 0.02, 0.95
 """Maximum deviation of a quaternion's norm from 1, and minimum share of such rows."""
 
@@ -187,10 +184,3 @@ def w_comes_first(fields: tuple[str, ...], values: Float[np.ndarray, "n 4"]) -> 
     turned = (rotation_from_quaternion(rows)[:, 2, 2] for rows in (values, np.roll(values, -1, axis=1)))
     as_stored, w_first = (float(np.mean(up)) for up in turned)
     return w_first > as_stored
-
-
-def are_earth_centred(places: Float[np.ndarray, "n k"]) -> bool:
-    """Return True if positions are at the Earth's radius from the origin."""
-    middle = np.abs(np.median(places, axis=0))
-    near = _RADII[0] < float(np.linalg.norm(middle)) < _RADII[1]
-    return near and len(middle) > 2 and float(np.sort(middle)[1]) > _EASTING

@@ -3,7 +3,8 @@
 The centre is above zero for servo pulses and potentiometer counts.
 """
 
-from typing import Final
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -12,24 +13,15 @@ from scipy.ndimage import median_filter
 from offpiste.inspection.signal_faults import find_spikes
 from offpiste.rig.channels import ChannelSource, unit_factor
 from offpiste.rig.edits import Edit, rounded
+from offpiste.rig.labels import VOCABULARY
 
-_FULL: Final = (1.0, 10.0, 100.0, 127.0, 255.0, 1000.0, 1023.0, 4095.0, 32767.0, 65535.0)
-"""Common full-scale values of pedals."""
+RANGES: Final[Mapping[str, Any]] = VOCABULARY["draft"]["ranges"]
+"""Usual ranges of raw values (see vocabulary.toml)."""
 _PRESSED: Final = 0.45
 """Minimum share of the full scale that a drive reaches, for ranges from zero."""
 _SLACK: Final = 0.02
 _NOTHING: Final = 1e-6
 """Maximum share of the largest value that counts as zero, e.g. after a decaying filter."""
-_PULSES: Final = (900.0, 2100.0)
-"""Range of pulse widths of servos and speed controllers [us]."""
-_MIDDLE_PULSE: Final = 1500.0
-_LEAST_PULSE: Final = 1000.0
-_BEGINS: Final = 1080.0
-"""Maximum released pulse of a forward-only speed controller [us]."""
-FULL_PULSE: Final = 2000.0
-"""Pulse width at full throttle [us]."""
-_COUNTS: Final = (100.0, 180.0, 255.0, 1023.0, 4095.0, 65535.0)
-"""Full-scale values of ranges from zero with straight ahead at the centre."""
 _REACHED: Final = 0.4
 """Minimum share of the range covered by a drive."""
 _CENTRAL: Final = (0.35, 0.65)
@@ -61,7 +53,7 @@ def largest_size(values: Float[np.ndarray, " n"]) -> float:
 
 def full_scale(largest: float) -> float:
     """Return the common full-scale value for the maximum of a drive; 0 if none matches."""
-    return next((full for full in _FULL if _PRESSED * full <= largest <= (1 + _SLACK) * full), 0.0)
+    return next((full for full in RANGES["full_scales"] if _PRESSED * full <= largest <= (1 + _SLACK) * full), 0.0)
 
 
 def whole_range(values: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
@@ -71,7 +63,7 @@ def whole_range(values: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
         values: finite values.
     """
     low, high = held_range(values)
-    for full in _FULL:
+    for full in RANGES["full_scales"]:
         slack = _SLACK * full
         if abs(low) <= slack and _PRESSED * full <= high <= full + slack:
             return 0.0, full
@@ -149,8 +141,9 @@ def are_pulses(values: Float[np.ndarray, " n"], *, named: bool) -> bool:
         named: whether unit or name indicate pulses; otherwise values must lie on both sides of the centre pulse.
     """
     low, high = np.percentile(values, (0.5, 99.5))
-    inside = low >= _PULSES[0] and high <= _PULSES[1] and high - low > 20
-    return bool(inside and (named or low < _MIDDLE_PULSE - 20 < _MIDDLE_PULSE + 20 < high))
+    (shortest, longest), middle = RANGES["pulses"], RANGES["middle_pulse"]
+    inside = low >= shortest and high <= longest and high - low > 20
+    return bool(inside and (named or low < middle - 20 < middle + 20 < high))
 
 
 def steering_middle(
@@ -181,11 +174,11 @@ def _usual_middle(values: Float[np.ndarray, " n"], *, named: bool) -> tuple[floa
     if are_pulses(values, named=named):
         turned = values[~find_spikes(values)]
         seen = f"{turned.min():.4g}..{turned.max():.4g} seen"
-        reach = float(np.abs(turned - _MIDDLE_PULSE).max())
-        words = f"pulses, {_MIDDLE_PULSE:g} straight ahead and full lock {reach:.4g} from it; {seen}"
-        return _MIDDLE_PULSE, reach, words
+        middle = RANGES["middle_pulse"]
+        reach = float(np.abs(turned - middle).max())
+        return middle, reach, f"pulses, {middle:g} straight ahead and full lock {reach:.4g} from it; {seen}"
     median = float(np.median(values))
-    for full in _COUNTS:
+    for full in RANGES["middles"]:
         central = _CENTRAL[0] * full <= median <= _CENTRAL[1] * full
         if low >= 0 and high <= 1.02 * full and high - low >= _REACHED * full and central:
             return full / 2, full / 2, f"of 0..{full:g}, {seen}"
@@ -196,6 +189,7 @@ def _usual_middle(values: Float[np.ndarray, " n"], *, named: bool) -> tuple[floa
 
 def pulse_at_rest(values: Float[np.ndarray, " n"]) -> float:
     """Return the released pulse of a speed controller [us]: the centre, or the minimum if it is more frequent."""
-    near = float(np.mean(np.abs(values - _MIDDLE_PULSE) <= 0.05 * (FULL_PULSE - _MIDDLE_PULSE)))
-    begins = float(np.percentile(values, 1)) <= _BEGINS and float(np.mean(values <= _BEGINS)) > near
-    return _LEAST_PULSE if begins else _MIDDLE_PULSE
+    middle, begins = RANGES["middle_pulse"], RANGES["begins"]
+    near = float(np.mean(np.abs(values - middle) <= 0.05 * (RANGES["full_pulse"] - middle)))
+    forward_only = np.percentile(values, 1) <= begins and np.mean(values <= begins) > near
+    return float(RANGES["least_pulse"] if forward_only else middle)
