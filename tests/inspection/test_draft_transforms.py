@@ -4,7 +4,7 @@ from pathlib import Path
 from unittest.mock import ANY
 
 import pytest
-from test_message_families import QUANTITIES, TIME
+from loggers import QUANTITIES, TIME
 
 from offpiste.core.errors import LogError
 from offpiste.inspection.draft_rig import draft_rig

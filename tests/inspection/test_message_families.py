@@ -1,201 +1,30 @@
-"""First rigs of logs with the messages of drivers and stacks that off-road vehicles run."""
+"""First rigs of logs as drivers, stacks, simulators, autopilots and loggers write them."""
 
-import dataclasses
 import re
-from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from simulated import MAX_STEER, MemoryLog, drive_log, severe
+from loggers import COMMANDS, LOGGERS, ODOM, PEDALS, POSE, QUANTITIES, TIME, YAW, cured, log_of, logger
+from simulated import MemoryLog
 
 from offpiste.core.errors import LogError
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.drive import drive_from_log
-from offpiste.logs.log import Topic
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig
 
-CLEAN = drive_log()
-TIME, ODOM = CLEAN.data["odom"]
-STEERING = CLEAN.data["steering"]
+
+def drafted(log: MemoryLog) -> Rig:
+    return parse_rig(draft_rig(log), where="draft")
 
 
-def _quantities() -> dict[str, np.ndarray]:
-    """What a vehicle's messages hold, by the poses' stamps."""
-    yaw = 2 * np.arctan2(ODOM["qz"], ODOM["qw"])
-    at = {name: np.interp(TIME, *pair) for name, pair in {
-        "throttle": (CLEAN.data["pedals"][0], CLEAN.data["pedals"][1]["throttle"]),
-        "brake": (CLEAN.data["pedals"][0], CLEAN.data["pedals"][1]["brake"]),
-        "steer": (STEERING[0], STEERING[1]["command"]),
-        "angle": (STEERING[0], STEERING[1]["angle"]),
-    }.items()}  # fmt: skip
-    return ODOM | at | {
-        "0": 0 * TIME,
-        "1": 0 * TIME + 1,
-        "latitude": 47.4 + ODOM["y"] / 111_180,
-        "longitude": 8.5 + ODOM["x"] / 75_500,
-        "height": 450 + ODOM["z"],
-        "east": np.cos(yaw) * ODOM["vx"] - np.sin(yaw) * ODOM["vy"],
-        "north": np.sin(yaw) * ODOM["vx"] + np.cos(yaw) * ODOM["vy"],
-        "azimuth": np.rad2deg(np.pi / 2 - yaw) % 360,
-        "azimuth in rad": (np.pi / 2 - yaw) % (2 * np.pi),
-        "counted latitude": np.round(1e7 * (47.4 + ODOM["y"] / 111_180)),
-        "counted longitude": np.round(1e7 * (8.5 + ODOM["x"] / 75_500)),
-        "counted height": np.round(1e3 * (450 + ODOM["z"])),
-        "counted azimuth": np.round(1e5 * (np.rad2deg(np.pi / 2 - yaw) % 360)),
-        "counted north": np.round(1e3 * (np.sin(yaw) * ODOM["vx"] + np.cos(yaw) * ODOM["vy"])),
-        "counted east": np.round(1e3 * (np.cos(yaw) * ODOM["vx"] - np.sin(yaw) * ODOM["vy"])),
-        "down": -ODOM["z"],
-        "sinking": -ODOM["vz"],
-        "right": -ODOM["wy"],
-        "clockwise": -ODOM["wz"],
-        "half azimuth cos": np.cos((np.pi / 2 - yaw) / 2),
-        "half azimuth sin": np.sin((np.pi / 2 - yaw) / 2),
-        "wheel": 14 * at["angle"],
-        "wheel in deg": 800 * at["angle"],
-        "tire command": MAX_STEER * at["steer"],
-        "speed command": np.interp(TIME + 0.4, TIME, ODOM["vx"]),
-        "duty": ODOM["vx"] / 20,
-        "steering pulse": 1500 - 400 * at["steer"],
-        "throttle pulse": 1500 + 400 * (at["throttle"] - at["brake"]),
-        "middle pulse": 0 * TIME + 1500,
-    }  # fmt: skip
-
-
-QUANTITIES = _quantities()
-POSE = {f"pose.pose.position.{axis}": axis for axis in "xyz"}
-POSE |= {f"pose.pose.orientation.{axis}": f"q{axis}" for axis in "xyzw"}
-VECTOR = ("vector.x", "vector.y", "vector.z")
-COMMANDS = {"/cmd": {"throttle": "throttle", "brake": "brake", "steer": "steer"}}
-
-
-def report(command: str, output: str) -> dict[str, str]:
-    """A report of pacmod3_msgs, with nobody at the pedals."""
-    return {"enabled": "1", "override_active": "0", "pacmod_fault": "0", "manual_input": "0", "command": command,
-            "output": output}  # fmt: skip
-
-
-FAMILIES: Mapping[str, tuple[dict[str, dict[str, str]], dict[str, tuple[str, ...]]]] = {
-    "NovAtel INSPVA": (
-        {"/inspva": {"latitude": "latitude", "longitude": "longitude", "height": "height", "north_velocity": "north",
-                     "east_velocity": "east", "up_velocity": "vz", "roll": "0", "pitch": "0", "azimuth": "azimuth"}}
-        | COMMANDS,
-        {"position": ("latitude", "longitude", "height"), "yaw": ("azimuth",),
-         "linear_velocity": ("east_velocity", "north_velocity", "up_velocity")},
-    ),
-    "u-blox NavPVT": (
-        {"/ublox/navpvt": {"lon": "counted longitude", "lat": "counted latitude", "height": "counted height",
-                           "vel_n": "counted north", "vel_e": "counted east", "heading": "counted azimuth"}}
-        | COMMANDS,
-        {"position": ("lat", "lon"), "yaw": ("heading",), "linear_velocity": ("vel_e", "vel_n")},
-    ),
-    "Inertial Sense, quaternion": (
-        {"/ins2": {"qn2b[0]": "half azimuth cos", "qn2b[1]": "0", "qn2b[2]": "0", "qn2b[3]": "half azimuth sin",
-                   "lla[0]": "latitude", "lla[1]": "longitude", "lla[2]": "height"}}
-        | COMMANDS,
-        {"position": ("lla[0]", "lla[1]", "lla[2]"), "orientation": ("qn2b[1]", "qn2b[2]", "qn2b[3]", "qn2b[0]")},
-    ),
-    "PX4": (
-        {"/fmu/out/vehicle_odometry": {
-            "position[0]": "y", "position[1]": "x", "position[2]": "down", "q[0]": "half azimuth cos", "q[1]": "0",
-            "q[2]": "0", "q[3]": "half azimuth sin", "velocity[0]": "north", "velocity[1]": "east",
-            "velocity[2]": "sinking", "angular_velocity[0]": "wx", "angular_velocity[1]": "right",
-            "angular_velocity[2]": "clockwise"}}
-        | COMMANDS,
-        {"position": ("position[0]", "position[1]", "position[2]"), "orientation": ("q[1]", "q[2]", "q[3]", "q[0]"),
-         "angular_velocity": ("angular_velocity[0]", "angular_velocity[1]", "angular_velocity[2]")},
-    ),
-    "Xsens": (
-        {"/filter/positionlla": dict(zip(VECTOR, ("latitude", "longitude", "height"), strict=True)),
-         "/filter/quaternion": {f"quaternion.{axis}": f"q{axis}" for axis in "xyzw"},
-         "/filter/velocity": dict(zip(VECTOR, ("east", "north", "vz"), strict=True)),
-         "/filter/free_acceleration": dict(zip(VECTOR, ("vx", "vy", "vz"), strict=True))}
-        | COMMANDS,
-        {"position": VECTOR, "orientation": tuple(f"quaternion.{axis}" for axis in "xyzw"), "linear_velocity": VECTOR},
-    ),
-    "pacmod3": (
-        {"/odom": POSE, "/pacmod/accel_rpt": report("throttle", "throttle"),
-         "/pacmod/brake_rpt": report("brake", "brake"), "/pacmod/steering_rpt": report("steer", "wheel")},
-        {"throttle": ("output",), "brake": ("output",), "steer": ("output",)},
-    ),
-    "Autoware": (
-        {"/localization/kinematic_state": POSE,
-         "/control/command/control_cmd": {
-             "lateral.steering_tire_angle": "tire command", "lateral.steering_tire_rotation_rate": "0",
-             "longitudinal.velocity": "speed command", "longitudinal.acceleration": "0"},
-         "/vehicle/status/steering_status": {"steering_tire_angle": "angle"},
-         "/vehicle/command/actuation_cmd": {
-             "actuation.accel_cmd": "throttle", "actuation.brake_cmd": "brake", "actuation.steer_cmd": "0"}},
-        {"throttle": ("actuation.accel_cmd",), "brake": ("actuation.brake_cmd",),
-         "steer": ("lateral.steering_tire_angle",), "steer_angle": ("steering_tire_angle",)},
-    ),
-    "F1TENTH": (
-        {"/odom": POSE,
-         "/ackermann_cmd": {"drive.steering_angle": "tire command", "drive.steering_angle_velocity": "0",
-                            "drive.speed": "speed command", "drive.acceleration": "0", "drive.jerk": "0"},
-         "/sensors/core": {"state.temp_fet": "height", "state.temp_motor": "height", "state.current_motor": "duty",
-                           "state.speed": "vx", "state.duty_cycle": "duty", "state.voltage_input": "1"}},
-        {"throttle": ("drive.speed",), "steer": ("drive.steering_angle",)},
-    ),
-    "Dataspeed DBW2": (
-        {"/odom": POSE,
-         "/vehicle/throttle/report": {"percent_input": "throttle", "percent_cmd": "0", "enabled": "1", "fault": "0"},
-         "/vehicle/brake/report": {"cmd_type": "0", "torque_input": "brake", "percent_input": "brake", "enabled": "1"},
-         "/vehicle/steering/report": {"steering_wheel_angle": "wheel", "steering_wheel_torque": "wy", "enabled": "1"}},
-        {"throttle": ("percent_input",), "brake": ("percent_input",), "steer": ("steering_wheel_angle",)},
-    ),
-    "MAVROS": (
-        {"/mavros/local_position/odom": POSE,
-         "/mavros/rc/out": {"channels[0]": "steering pulse", "channels[1]": "middle pulse",
-                            "channels[2]": "throttle pulse", "channels[3]": "middle pulse"}},
-        {"throttle": ("channels[2]",), "brake": ("channels[2]",), "steer": ("channels[0]",)},
-    ),
-    "AutoRally": (
-        {"/pose_estimate": POSE,
-         "/chassisState": {"throttleRelayEnabled": "1", "steering": "steer", "throttle": "throttle",
-                           "frontBrake": "brake", "autonomousEnabled": "1"},
-         "/wheelSpeeds": {"lfSpeed": "vx", "rfSpeed": "vx", "lbSpeed": "vx", "rbSpeed": "vx"}},
-        {"throttle": ("throttle",), "brake": ("frontBrake",), "steer": ("steering",),
-         "wheel_speed": ("lfSpeed", "rfSpeed", "lbSpeed", "rbSpeed")},
-    ),
-}  # fmt: skip
-
-
-TYPES: Mapping[str, str] = {"/fmu/out/vehicle_odometry": "px4_msgs/msg/VehicleOdometry"}
-"""Types of messages that say what their fields do not."""
-
-
-class Log(MemoryLog):
-    """Topics of which most have messages of another type than those that the drafts know."""
-
-    @property
-    def topics(self) -> dict[str, Topic]:
-        types = {name: TYPES.get(name, "x/msg/X") for name in super().topics}
-        return {name: dataclasses.replace(topic, type=types[name]) for name, topic in super().topics.items()}
-
-
-def log_of(topics: Mapping[str, Mapping[str, str]]) -> Log:
-    return Log({name: (TIME, {f: QUANTITIES[q] for f, q in fields.items()}) for name, fields in topics.items()})
-
-
-def cured(log: MemoryLog, rig: Rig) -> list[str]:
-    """What is left of the warnings once the rig has the first cures."""
-    for _ in range(3):
-        findings = severe(log, rig)
-        if not any(f.cures for f in findings):
-            break
-        rig = edited(rig, [edit for f in findings for edit in (f.cures[0] if f.cures else ())])
-    return [f"{f.where} {f.what}" for f in findings]
-
-
-@pytest.mark.parametrize("name", FAMILIES)
-def test_channels_are_found_in_messages_of(name: str) -> None:
-    topics, expected = FAMILIES[name]
-    log = log_of(topics)
-    rig = parse_rig(draft_rig(log), where="draft")
-    assert {channel: rig.channels[channel].fields for channel in expected} == expected
+@pytest.mark.parametrize("name", LOGGERS)
+def test_channels_are_found_in_logs_of(name: str) -> None:
+    log, expected = logger(name), LOGGERS[name]["channels"]
+    rig = drafted(log)
+    assert {channel: list(rig.channels[channel].fields) for channel in expected} == expected
     assert cured(log, rig) == []
 
 
@@ -237,7 +66,7 @@ def test_limits_and_switches_do_not_hide_what_a_topic_commands(asked: str, other
         {"/odom": POSE, "/dbw/steering_status": status, "/dbw/steering_command": {asked: "tire command"} | beside}
         | {f"/dbw/{pedal}_cmd": {"pedal_setpoint": pedal} | beside for pedal in ("throttle", "brake")}
     )
-    channels = parse_rig(draft_rig(log), where="draft").channels
+    channels = drafted(log).channels
     assert {name: (channels[name].topic, channels[name].fields) for name in ("steer", "steer_angle")} == {
         "steer": ("/dbw/steering_command", (asked,)),
         "steer_angle": ("/dbw/steering_status", ("wheel_angle",)),
@@ -270,7 +99,7 @@ def test_a_pose_in_the_earths_frame_comes_last_by_its_numbers() -> None:
     log: MemoryLog = log_of({"/ins/odometry": more, "/ins/local": POSE} | COMMANDS)
     for axis, far in (("x", 4.18e6), ("y", 0.86e6), ("z", 4.72e6)):
         log = log.change("/ins/odometry", f"pose.pose.position.{axis}", lambda values, far=far: values + far)
-    assert parse_rig(draft_rig(log), where="draft").channels["position"].topic == "/ins/local"
+    assert drafted(log).channels["position"].topic == "/ins/local"
 
 
 @pytest.mark.parametrize("named", [("latitude", "longitude", "altitude"), ("position.x", "position.y", "position.z")])
@@ -285,7 +114,7 @@ def test_an_ins_of_north_east_down_is_known_beside_latitude_and_longitude(named:
     log = log_of({"/ins": fields, **COMMANDS})
     inspection = inspect_log(log)
     assert Edit("motion.axes", "ned") in inspection.cure
-    rig = edited(parse_rig(draft_rig(log), where="test"), inspection.cure)
+    rig = edited(drafted(log), inspection.cure)
     assert (rig.channels["position"].fields, rig.channels["position"].scale) == (named, 1.0)
     assert "yaw" not in rig.channels
     again = inspect_log(log, rig)
@@ -294,3 +123,81 @@ def test_an_ins_of_north_east_down_is_known_beside_latitude_and_longitude(named:
     driven = drive.channels["position"].values
     np.testing.assert_allclose(np.ptp(driven[:, 0]), np.ptp(truth["y"]), rtol=0.01)  # to the north
     np.testing.assert_allclose(np.ptp(driven[:, 1]), np.ptp(truth["x"]), rtol=0.01)  # and the west
+
+
+def test_a_world_of_north_east_down_that_is_read_as_up_is_said_to_be() -> None:
+    log = logger("north, east, down")
+    rig = drafted(log)
+    assert rig.motion.axes == "ned"
+    up = edited(rig, [Edit("motion.axes", None)])
+    (finding,) = (f for f in inspect_log(log, up).findings if f.where == "position" and f.severity == "warning")
+    assert finding.what == "its third field is named down, and is read as up"
+    assert edited(up, finding.cures[0]) == rig
+
+
+@pytest.mark.parametrize(
+    ("heading", "fields"), [("yaw", ["pos_x", "pos_z", "pos_y"]), ("azimuth", ["pos_z", "pos_x", "pos_y"])]
+)
+def test_a_world_whose_y_is_up_is_turned_as_its_heading_is(heading: str, fields: list[str]) -> None:
+    """As of games: of two readings, one needs no edits of the heading."""
+    yaw = {"yaw": YAW, "azimuth": QUANTITIES["azimuth in rad"]}
+    columns = {"pos_x": ODOM["x"], "pos_y": ODOM["z"], "pos_z": ODOM["y"], "yaw": yaw[heading]}
+    log = MemoryLog({"": (TIME, columns | {name: QUANTITIES[name] for name in PEDALS})})
+    rig = drafted(log)
+    inspection = inspect_log(log, rig)
+    fatal = next(f for f in inspection.findings if f.severity == "fatal")
+    assert fatal.what == "climbs as much as it drives"
+    assert inspection.cure[0].value == fields
+    assert cured(log, rig) == []
+
+
+def test_metres_from_the_middle_of_the_earth_are_no_world() -> None:
+    """48 north, 11 east; a northing of 57 degrees is as far from its origin, and is none of it."""
+    up, east, north = np.array([0.657, 0.128, 0.743]), np.array([-0.191, 0.982, 0.0]), np.array([-0.73, -0.142, 0.669])
+    places = 6.37e6 * up + ODOM["x"][:, None] * east + ODOM["y"][:, None] * north
+    pedals = {name: QUANTITIES[name] for name in PEDALS}
+    yaw = {"yaw": YAW}
+    log = MemoryLog({"": (TIME, dict(zip(("x", "y", "z"), places.T, strict=True)) | yaw | pedals)})
+    found = inspect_log(log, drafted(log)).findings
+    assert "is in the earth's own frame (ECEF), whose z is not up" in {f.what for f in found if f.severity == "fatal"}
+    utm = MemoryLog({"": (TIME, {"x": 5e5 + ODOM["x"], "y": 6.36e6 + ODOM["y"], "z": ODOM["z"] + 90} | yaw | pedals)})
+    rig = drafted(utm)
+    assert [f.what for f in inspect_log(utm, rig).findings if f.severity == "fatal"] == []
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("cm", 0.01)])
+def test_a_world_of_unreal_is_turned_so_that_left_is_left(unit: str, scale: float) -> None:
+    """Its y is to the right, its yaw counts clockwise, and all else is seen in the same mirror."""
+    world = {
+        "x": (ODOM["x"], QUANTITIES["east"]),
+        "y": (-ODOM["y"], -QUANTITIES["north"]),
+        "z": (ODOM["z"], ODOM["vz"]),
+    }
+    columns = {f"location.{axis}": place / scale for axis, (place, _) in world.items()}
+    columns |= {f"velocity.{axis}": velocity / scale for axis, (_, velocity) in world.items()}
+    columns |= {"rotation.yaw": np.degrees(-YAW), "throttle": QUANTITIES["throttle"], "brake": QUANTITIES["brake"]}
+    log = MemoryLog({"": (TIME, columns | {"steer": -QUANTITIES["steer"]})})
+    rig = drafted(log)
+    inspection = inspect_log(log, rig)
+    assert "the world is seen in a mirror" in {f.what for f in inspection.findings}
+    rig = edited(rig, inspection.cure)
+    channels = rig.channels
+    assert channels["position"].unit == (unit if unit != "m" else "")
+    assert channels["position"].fields[:2] == ("location.y", "location.x")
+    assert (channels["yaw"].sign, channels["yaw"].offset, channels["steer"].sign) == (-1, -90.0, -1)
+    velocity = channels["linear_velocity"]
+    assert (velocity.frame, velocity.fields[:2], velocity.scale) == ("world", ("velocity.y", "velocity.x"), scale)
+    assert rig.vehicle.max_steer == pytest.approx(0.33, abs=0.03)
+    assert [f.what for f in inspect_log(log, rig).findings if f.severity != "note"] == []
+
+
+@pytest.mark.parametrize("shown", ["minutes", "degrees and minutes"])
+def test_places_that_are_no_degrees_are_said_so_once(shown: str) -> None:
+    """Minutes of arc, as in .vbo files, and ddmm.mmmm, as in sentences of NMEA."""
+    values = dict(logger("radians").data[""][1])
+    for name in ("latitude", "longitude"):
+        degrees = QUANTITIES[name]
+        values[name] = 60 * degrees if shown == "minutes" else 100 * np.floor(degrees) + 60 * (degrees % 1)
+    fatal = [f for f in inspect_log(MemoryLog({"": (TIME, values)})).findings if f.severity != "note"]
+    assert [(f.where, f.what) for f in fatal] == [("position (latitude), position (longitude)", "is not in degrees")]
+    assert "convert to degrees" in fatal[0].remedy
