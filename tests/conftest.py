@@ -51,7 +51,7 @@ WHOLE_PATHS = (
     "golden/", "reproduction/",
     "inspection/test_course.py", "inspection/test_draft", "inspection/test_gear.py", "inspection/test_inspect.py",
     "inspection/test_late_poses.py", "inspection/test_message", "inspection/test_pedals.py", "inspection/test_pose.py",
-    "inspection/test_re", "inspection/test_s", "inspection/test_table",
+    "inspection/test_re", "inspection/test_s",
     "closed_loop/test_drive_course.py", "runtime/test_backing_out.py",
     "runtime/test_runtime.py", "runtime/test_settings.py", "simulation/test_recorder.py",
 )  # fmt: skip
