@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from simulated import MAX_STEER, MemoryLog, drive_log, severe
 
 from offpiste.logs.log import Topic
@@ -20,6 +21,7 @@ YAW = 2 * np.arctan2(ODOM["qz"], ODOM["qw"])
 POSE = {f"pose.pose.position.{axis}": axis for axis in "xyz"}
 POSE |= {f"pose.pose.orientation.{axis}": f"q{axis}" for axis in "xyzw"}
 PEDALS = {"throttle": "throttle", "brake": "brake", "steer": "steer"}
+PLAIN = {field: field for field in ODOM}
 COMMANDS = {"/cmd": PEDALS}
 
 
@@ -70,6 +72,12 @@ def _quantities() -> dict[str, np.ndarray]:
         "brake in %": 100 * brake,
         "brake in bar": 60 * brake,
         "brake in C": 300 + 50 * brake,
+        "brake trigger": 1 - 2 * brake,
+        "throttle trigger": 1 - 2 * throttle,
+        "throttle of 255": 255 * throttle,
+        "brake to 153 of 255": 153 * brake,
+        "early steer of 0 to 1023": 511.5 * (np.interp(TIME + 0.2, steered, steering["command"]) + 1),
+        "late angle in deg": np.rad2deg(np.interp(TIME - 0.05, steered, steering["angle"])),
         "steering pulse": 1500 - 400 * steer,
         "throttle pulse": 1500 + 400 * (throttle - brake),
         "middle pulse": 0 * TIME + 1500,
@@ -84,11 +92,14 @@ class Log(MemoryLog):
     """Topics of which most have messages of another type than those that the drafts know."""
 
     types: Mapping[str, str] = {}
+    joints: Mapping[str, Mapping[str, str]] = {}
 
     @property
     def topics(self) -> dict[str, Topic]:
-        types = {name: self.types.get(name, "x/msg/X") for name in super().topics}
-        return {name: dataclasses.replace(topic, type=types[name]) for name, topic in super().topics.items()}
+        return {
+            name: dataclasses.replace(topic, type=self.types.get(name, "x/msg/X"), joints=self.joints.get(name, {}))
+            for name, topic in super().topics.items()
+        }
 
 
 def log_of(topics: Mapping[str, Mapping[str, str]]) -> Log:
@@ -106,10 +117,20 @@ def logger(name: str) -> MemoryLog:
     topics, more = LOGGERS[name]["topics"], LOGGERS[name]
     if "" in topics:
         return table(topics[""] | (PEDALS if more.get("pedals") else {}))
-    odometry = {more["odometry"]: POSE} if "odometry" in more else {}
-    log = log_of(odometry | topics | (COMMANDS if more.get("commands") else {}))
-    log.types = more.get("types", {})
+    poses = {more[kind]: fields for kind, fields in (("odometry", POSE), ("odom", PLAIN)) if kind in more}
+    log = log_of(poses | topics | (COMMANDS if more.get("commands") else {}))
+    log.types, log.joints = more.get("types", {}), more.get("joints", {})
     return log
+
+
+def assert_drafted(rig: Rig, channels: Mapping[str, Any]) -> None:
+    """Assert that a rig has channels with these fields, or with these settings."""
+    for channel, wanted in channels.items():
+        settings = wanted if isinstance(wanted, dict) else {"fields": wanted}
+        source = rig.channels[channel]
+        drafted = {key: getattr(source, key) for key in settings}
+        expected = {key: tuple(v) if isinstance(v, list) else v for key, v in settings.items()}
+        assert drafted == {k: pytest.approx(v, rel=1e-3) if isinstance(v, float) else v for k, v in expected.items()}
 
 
 def cured(log: MemoryLog, rig: Rig) -> list[str]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loggers import assert_drafted
 
 from offpiste.core.errors import LogError
 from offpiste.inspection.draft_pose import pose_cure
@@ -67,7 +68,7 @@ def test_names_and_units_are_read(tmp_path: Path, name: str) -> None:
     columns, wanted = TABLES[name]["columns"], TABLES[name]["channels"]
     path = written(tmp_path / "drive.csv", columns)
     rig = drafted(path)
-    assert {channel: list(rig.channels[channel].fields) for channel in wanted} == wanted
+    assert_drafted(rig, wanted)
     # Read as drafted, every channel is what was driven.
     drive = drive_from_log(open_log(path, clock=rig.clock), rig)
     truth = {

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from loggers import COMMANDS, LOGGERS, ODOM, PEDALS, POSE, QUANTITIES, TIME, YAW, cured, log_of, logger
+from loggers import COMMANDS, LOGGERS, ODOM, PEDALS, POSE, QUANTITIES, TIME, YAW, assert_drafted, cured, log_of, logger
 from simulated import MemoryLog
 
 from offpiste.core.errors import LogError
@@ -22,9 +22,9 @@ def drafted(log: MemoryLog) -> Rig:
 
 @pytest.mark.parametrize("name", LOGGERS)
 def test_channels_are_found_in_logs_of(name: str) -> None:
-    log, expected = logger(name), LOGGERS[name]["channels"]
+    log = logger(name)
     rig = drafted(log)
-    assert {channel: list(rig.channels[channel].fields) for channel in expected} == expected
+    assert_drafted(rig, LOGGERS[name]["channels"])
     assert cured(log, rig) == []
 
 
@@ -43,6 +43,9 @@ PN PE PD: position PE
 GForceLat GForceLong latitude longitude: position latitude; v_lat v_lon a_lat lat lon: position lat
 timestamp tx ty tz qx qy qz qw: position tx; tx ty tz lat lon: position lat; fx fy fz tx ty tz x y: position x
 estimated_curvature commanded_curvature: steer commanded_curvature; APPS1 APPS2: throttle APPS1
+thr_pct brk_pct str_cmd: throttle thr_pct, brake brk_pct, steer str_cmd; tps p_brake_f: throttle tps
+p_brake_f: brake_pressure p_brake_f; brake_pressure: brake_pressure brake_pressure
+a commands/servo/position: steer commands/servo/position
 DM.Steer.AngVel DM.Steer.Ang: steer_angle DM.Steer.Ang; handlebar tiller: steer handlebar; shift_cmd: gear shift_cmd
 """
 """Columns, and for each channel the one that is read."""

@@ -148,7 +148,8 @@ def _by_numbers(entries: Mapping[str, Entry], found: Mapping[str, tuple[Guess, f
     for channel, (guess, correlation) in found.items():
         if channel not in entries or entries[channel].guess is not guess:
             continue
-        comment = entries[channel].comment.removeprefix("GUESSED").removeprefix(" by its name").strip(":; ")
+        comment = entries[channel].comment.removeprefix("GUESSED").removeprefix(" by its name")
+        comment = comment.removeprefix(" and numbers").strip(":;, ")
         follows = f"GUESSED by its numbers: the motion follows it ({correlation:.2f})"
         changed[channel] = replace(entries[channel], comment=f"{follows}{comment and '; '}{comment}")
         if channel == "throttle" and "brake" in entries and entries["brake"].guess is guess:

@@ -102,12 +102,12 @@ def signed_pedal(scalars: Mapping[str, Scalar], *, backwards: bool = False) -> d
     if throttle is None or throttle.guess.rank == MOTION:
         return {}
     guess, (low, high) = throttle.guess, held_range(throttle.values)
-    words = f"GUESSED by its name and numbers, {low:.4g}..{high:.4g} seen"
+    words = f"GUESSED by its name and numbers, {low:.4g}..{high:.4g}"
     if are_pulses(throttle.values, named=are_named_pulses(guess)):
         rest = pulse_at_rest(throttle.values)
         full = RANGES["full_pulse"] - rest
         lines: tuple[str, ...] = (f"scale = {number(1 / full)}", f"offset = {number(-rest / full)}")
-        words += f" and pulses (is full throttle {RANGES['full_pulse']:g}?)"
+        words += f", pulses (is full throttle {RANGES['full_pulse']:g}?)"
     elif _is_two_way(throttle, is_only="brake" not in scalars):
         rest, (lines, full) = 0.0, _scaled(guess, max(-low, high))
     else:
