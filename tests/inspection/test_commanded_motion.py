@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from simulated import MemoryLog, severe
-from test_draft_topics import Typed
 
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
@@ -61,7 +60,7 @@ def robot(
         pedal, asked = speed / 3.0 if kind == "steering" else speed, 0.4 * turn if kind == "angle" else turn
         command, topic = {"linear.x": pedal, "linear.y": 0 * time, "angular.z": asked}, "cmd_vel/Twist"
     idle = {"linear.x": 0.9 * speed[::10], "linear.y": 0 * speed[::10], "angular.z": turn[::10]}
-    log = Typed({"odom/Odometry": (time, odom), "teleop/cmd_vel/Twist": (time[::10], idle), topic: (time, command)})
+    log = MemoryLog({"odom/Odometry": (time, odom), "teleop/cmd_vel/Twist": (time[::10], idle), topic: (time, command)})
     return log, command
 
 

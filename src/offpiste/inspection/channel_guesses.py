@@ -46,6 +46,7 @@ class Guess:
         rank: distance between the source's name and the channel's name; 0 is the best match.
         asked_for: True if the topic's type or name, or a field name, marks a command.
         in_hand: whether the angle appears to be a steering-wheel angle, judging from the motion.
+        why: reason of the guess.
     """
 
     channel: str
@@ -55,6 +56,7 @@ class Guess:
     rank: int = 0
     asked_for: bool = False
     in_hand: bool = False
+    why: str = "by its name"
 
 
 def guess_channels(log: Log, namespace: str = "") -> list[Guess]:

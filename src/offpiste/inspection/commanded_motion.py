@@ -64,25 +64,25 @@ def _measures(channel: str, label: Label) -> bool:
 
 
 def motion_lines(channel: str, values: Float[np.ndarray, " n"], unit: str) -> tuple[tuple[str, ...], str]:
-    """Return a first rig's entry for a commanded motion, and a comment.
+    """Return a first rig's entry for a commanded motion, and a note.
 
     Args:
         values: of the first field: speed [m/s] or turn rate.
         unit: of a turn rate, as stated by the log; rad/s by default.
 
     Returns:
-        Lines of TOML, and a comment.
+        Lines of TOML, and a note.
     """
     largest, backwards = float(np.abs(values).max()), bool(values.min() < 0)
     if channel == "gear":
-        return (f"scale = {number(_DIRECTION / largest)}",), "GUESSED: the direction of the commanded speed"
+        return (f"scale = {number(_DIRECTION / largest)}",), "the direction of the commanded speed"
     if channel == "throttle":
-        words = f"GUESSED: a commanded speed, of which 1 is {largest:.4g}, the largest of this log"
+        words = f"a commanded speed, of which 1 is {largest:.4g}, the largest of this log"
         size = ("absolute = true",) if backwards else ()
         return (f"scale = {number(1 / largest)}", *size, "clip = [0.0, 1.0]"), words
     if unit == "rad/s" and np.abs(values).max() > _FASTEST:
         unit = "deg/s"
-    words = "GUESSED: a commanded turn rate, and the speed: the angle of a bicycle that turns so, over max_steer"
+    words = "a commanded turn rate, and the speed: the angle of a bicycle that turns so, over max_steer"
     return (f'unit = "{unit}"', "clip = [-1.0, 1.0]"), words
 
 

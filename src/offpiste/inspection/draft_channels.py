@@ -8,9 +8,15 @@ import numpy as np
 
 from offpiste.inspection.channel_guesses import ACCELERATOR, MEASURED, MOTION, Guess, guess_channels
 from offpiste.inspection.commanded_motion import motion_lines
-from offpiste.inspection.draft_pedals import LARGEST_SHARE, PEDALS, Scalar, pedal_lines, signed_pedal
+from offpiste.inspection.draft_controls import (
+    LARGEST_SHARE,
+    PEDALS,
+    Scalar,
+    draft_steering,
+    pedal_lines,
+    signed_pedal,
+)
 from offpiste.inspection.draft_pose import Entry, degrees, draft_pose, field_values, unit_line
-from offpiste.inspection.draft_steering import draft_steering
 from offpiste.inspection.gear import MOST_GEARS, gear_values
 from offpiste.logs.log import Log
 from offpiste.rig.labels import is_array_entry
@@ -59,9 +65,10 @@ def draft_channels(log: Log, known: Known = NOTHING) -> dict[str, Entry]:
         guesses = [_as_it_is(guess) for guess in guesses]
     entries = draft_pose(log, guesses, known.frame)
     scalars = _scalars(log, guesses, entries)
-    for channel, (guess, _) in known.found.items():
+    for channel, (guess, correlation) in known.found.items():
         if channel not in scalars and (values := field_values(log, guess)) is not None:
-            scalars[channel] = Scalar(guess, values[:, 0])
+            why = f"by its numbers: the motion follows it ({correlation:.2f})"
+            scalars[channel] = Scalar(replace(guess, why=why), values[:, 0])
     if known.plain and "throttle" in scalars and np.abs(scalars["throttle"].values).max() <= LARGEST_SHARE:
         scalars.pop("gear", None)
         scalars["throttle"] = scalars["throttle"].of(unit="", rank=1)
@@ -78,8 +85,8 @@ def draft_channels(log: Log, known: Known = NOTHING) -> dict[str, Entry]:
     entries |= others | signed_pedal(scalars, backwards=known.backwards) | steering
     if known.heading and not (yaw := entries["yaw"]).guess.unit and "scale" not in str(yaw.lines):
         unit = () if known.heading == "rad" else (f'unit = "{known.heading}"',)
-        entries["yaw"] = replace(yaw, lines=unit, comment=f"{yaw.comment}; in {known.heading} by the course")
-    return entries | _by_numbers(entries, known.found)
+        entries["yaw"] = replace(yaw, lines=unit, note=f"{yaw.note}; in {known.heading} by the course")
+    return entries
 
 
 def _as_it_is(guess: Guess) -> Guess:
@@ -124,35 +131,17 @@ def _entry(channel: str, scalar: Scalar) -> Entry:
         return Entry(guess, *motion_lines(channel, scalar.values, guess.unit))
     wrap, values = scalar.unwrapped
     high = float(np.percentile(values, 99.5))
-    stated, comment = unit_line(channel, guess), "GUESSED by its name"
     if channel in PEDALS:
-        lines, words = pedal_lines(channel, guess, values)
-        return Entry(guess, (*wrap, *lines), comment + words)
-    if stated:
-        lines, comment = stated, f"{comment} and unit"
-    elif channel == "engine_rpm" and high > 20 and not guess.unit:
-        lines = ('unit = "rev/min"',)
-    elif channel == "yaw" and not guess.unit:
-        lines = degrees(values)
+        lines, note = pedal_lines(channel, guess, values)
+    elif lines := unit_line(channel, guess):
+        note = "in the unit of the log"
     elif channel == "gear":
         lines = gear_values(guess, values)
-        comment += "; `values` may have to say what is recorded" if lines else "; of its numbers the sign counts"
+        note = "`values` may have to say what is recorded" if lines else "of its numbers the sign counts"
     else:
-        lines = ()
-    return Entry(guess, (*wrap, *lines), comment)
-
-
-def _by_numbers(entries: Mapping[str, Entry], found: Mapping[str, tuple[Guess, float]]) -> dict[str, Entry]:
-    """Return the entries that the vehicle's response gave, with that in their comments."""
-    changed: dict[str, Entry] = {}
-    for channel, (guess, correlation) in found.items():
-        if channel not in entries or entries[channel].guess is not guess:
-            continue
-        comment = entries[channel].comment.removeprefix("GUESSED").removeprefix(" by its name")
-        comment = comment.removeprefix(" and numbers").strip(":;, ")
-        follows = f"GUESSED by its numbers: the motion follows it ({correlation:.2f})"
-        changed[channel] = replace(entries[channel], comment=f"{follows}{comment and '; '}{comment}")
-        if channel == "throttle" and "brake" in entries and entries["brake"].guess is guess:
-            by_numbers = entries["brake"].comment.replace("by its name and numbers", "by its numbers")
-            changed["brake"] = replace(entries["brake"], comment=by_numbers)
-    return changed
+        note = ""
+        if channel == "engine_rpm" and high > 20 and not guess.unit:
+            lines = ('unit = "rev/min"',)
+        elif channel == "yaw" and not guess.unit:
+            lines = degrees(values)
+    return Entry(guess, (*wrap, *lines), note)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from offpiste.core.errors import LogError, OffpisteError
 from offpiste.inspection.channel_guesses import Guess, by_topic
 from offpiste.inspection.course import check_course
-from offpiste.inspection.draft_values import BY_NUMBERS, heading_by_numbers
+from offpiste.inspection.draft_values import heading_by_numbers
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.field_groups import w_comes_first
 from offpiste.inspection.findings import Cure, Finding
@@ -40,13 +40,13 @@ class Entry:
 
     Attributes:
         lines: TOML besides topic and fields.
-        comment: reason of the choice.
+        note: what was inferred, besides the reason of the guess.
         max_angle: road wheel angle at a steering command of 1 [rad], if this channel states it, otherwise 0.
     """
 
     guess: Guess
     lines: tuple[str, ...]
-    comment: str
+    note: str = ""
     max_angle: float = 0.0
 
 
@@ -75,10 +75,10 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
         if channel not in best or (channel == "yaw" and "orientation" in best):  # includes the heading
             continue
         guess = best[channel]
-        lines, comment = unit_line(channel, guess), f"GUESSED by its name, as of {log.topics[guess.topic].type}"
+        lines, note = unit_line(channel, guess), f"from {log.topics[guess.topic].type}"
         values = field_values(log, guess)
         if channel == "orientation" and values is not None and w_comes_first(guess.fields, values):
-            guess, comment = replace(guess, fields=(*guess.fields[1:], guess.fields[0])), f"{comment}; w comes first"
+            guess, note = replace(guess, fields=(*guess.fields[1:], guess.fields[0])), f"{note}; w comes first"
         elif channel == "position" and guess.unit == GEOGRAPHIC and values is not None:
             if (each := degrees_each(values[:, 0], values[:, 1])) != 1:
                 guess, lines = replace(guess, fields=guess.fields[:2]), (*lines, f"scale = {each:.12g}")
@@ -87,14 +87,12 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
             if down and not any(map(named_down, entries["position"].guess.fields)):
                 guess = replace(guess, fields=(guess.fields[1], guess.fields[0]))  # swap to the axes of a z-up position
             lines += (f'frame = "{frame}"',)
-            comment += "" if frame == "unknown" else "; frame by the pose"
+            note += "" if frame == "unknown" else "; frame by the pose"
         elif channel == "angular_velocity":
-            lines, comment = (*lines, 'frame = "body"'), comment + "; in the body's frame, as gyroscopes measure"
-        elif channel == "yaw" and guess.rank == BY_NUMBERS:
-            comment = "GUESSED by its numbers: the course of the position follows it"
+            lines, note = (*lines, 'frame = "body"'), f"{note}; in the body's frame, as gyroscopes measure"
         elif channel == "yaw" and not guess.unit and values is not None:
             lines += degrees(values[:, 0])
-        entries[channel] = Entry(guess, lines, comment)
+        entries[channel] = Entry(guess, lines, note)
     return entries
 
 

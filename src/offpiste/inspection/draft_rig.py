@@ -164,7 +164,8 @@ def _channel(topic: Topic, channel: str, entry: Entry) -> str:
     fields = entry.guess.fields
     named = "".join(f"; {topic.joints[field]} is {field}" for field in fields if field in topic.joints)
     joints = [topic.joint_of(field) for field in fields]
-    lines = [f"[channels.{channel}]  # {entry.comment}{named}", f"topic = {toml_value(topic.name)}"]
+    why = "; ".join(filter(None, (f"GUESSED {entry.guess.why}", entry.note)))
+    lines = [f"[channels.{channel}]  # {why}{named}", f"topic = {toml_value(topic.name)}"]
     lines += [f"fields = {toml_value(fields)}", *entry.lines]
     return "\n".join([*lines, *([f"joints = {toml_value(joints)}"] if all(joints) else []), ""])
 

@@ -30,8 +30,7 @@ _UNITS: Final = ("cm", "mm", "ft")
 """Units commonly mistaken for metres."""
 _CLEAR: Final = 0.8
 """Minimum correlation of the yaw rate with the kinematic prediction."""
-BY_NUMBERS: Final = 5
-"""Rank of a heading found by the course only."""
+_BY_COURSE: Final = "by its numbers: the course of the position follows it"
 _APART: Final = 0.5
 """Time between two positions that define the course [s]."""
 _LEAST: Final = 20
@@ -67,7 +66,7 @@ def heading_by_numbers(log: Log, place: Guess) -> Guess | None:
         angle = _before(time, values, at + _APART / 2)[moves, 0]
         for sign, unit in product((1, -1), ("rad", "deg")):
             away = course - sign * unit_factor("yaw", unit) * angle
-            found.append((float(abs(np.exp(1j * away).mean())), Guess("yaw", topic, (field,), unit, BY_NUMBERS)))
+            found.append((float(abs(np.exp(1j * away).mean())), Guess("yaw", topic, (field,), unit, why=_BY_COURSE)))
     best = max(found, key=lambda pair: pair[0], default=(0.0, None))
     return best[1] if best[0] > _FOLLOWS else None
 

@@ -1,6 +1,5 @@
 """Topics of a log, read once for all checks."""
 
-import re
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
@@ -19,13 +18,9 @@ from offpiste.logs.channel import increasing
 from offpiste.logs.log import Log, Samples, SetBack, Topic
 from offpiste.logs.transforms import STAMPED, frame_pair, listed
 from offpiste.rig.channels import SECONDS_PER_UNIT, Clock
-from offpiste.rig.labels import is_array_entry
+from offpiste.rig.labels import is_array_entry, is_named
 from offpiste.rig.rig import Rig
 
-_BULK = re.compile(
-    r"(Image|PointCloud2?|LaserScan|OccupancyGrid|GridMap|CameraInfo|TFMessage|tfMessage|Log|ParameterEvent)$"
-)
-"""Types that are slow to read and contain no motion data."""
 _ARRAY = "MultiArray"
 """Suffix of message types that are arrays (std_msgs)."""
 _LARGEST = 1e100
@@ -212,7 +207,7 @@ def _of_usable_size(samples: Samples) -> Samples:
 
 def is_bulk(topic: Topic) -> bool:
     """Return whether a topic has no samples, or is slow to read and contains no motion data."""
-    return topic.count == 0 or _BULK.search(topic.type) is not None
+    return topic.count == 0 or is_named("bulk_types", topic.type)
 
 
 def read_topics(
@@ -247,12 +242,6 @@ def read_topics(
 
 
 def _readable(log: Log, name: str, fields: tuple[str, ...], stamps: str) -> tuple[tuple[str, ...], list[LogError]]:
-    try:
-        log.read(name, fields, stamps=stamps)
-        return fields, []
-    except LogError as error:
-        if len(fields) == 1:
-            return (), [error]
     good: list[str] = []
     errors: dict[str, LogError] = {}
     for field in fields:

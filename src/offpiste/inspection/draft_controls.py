@@ -1,0 +1,263 @@
+"""Pedals and steering of a first rig: usual scales, both pedals in one column, and angles of wheels."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from offpiste.inspection.channel_guesses import FALLBACK, MOTION, Guess
+from offpiste.inspection.commanded_motion import motion_lines
+from offpiste.inspection.draft_pose import Entry, unit_line
+from offpiste.inspection.gear import DIRECTION
+from offpiste.inspection.signal_faults import find_spikes, find_wrap
+from offpiste.inspection.usual_ranges import (
+    RANGES,
+    are_pulses,
+    full_scale,
+    held_range,
+    is_signed,
+    largest_size,
+    pulse_at_rest,
+    rests_between,
+    rests_high,
+    scaled_to_unit,
+    seen_range,
+    steering_middle,
+    whole_range,
+)
+from offpiste.logs.channel import unwrapped
+from offpiste.rig.channels import ChannelSource, unit_factor
+from offpiste.rig.edits import number, rounded
+from offpiste.rig.labels import channel_unit, is_named, parse_label
+
+PEDALS: Final = ("throttle", "brake", "brake_pressure")
+LARGEST_SHARE: Final = 1.05
+"""Maximum value of a control from 0 to 1 or -1 to 1; larger ones have a unit or another scale."""
+_BELOW: Final = 0.05
+"""Minimum range below the rest position of a pedal that also brakes, as a share of the range above."""
+
+_ALIKE: Final = (0.9, 1.1)
+"""Ratio of the largest command to the largest measured angle if the command is an angle."""
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """Guess of a scalar channel with its finite values."""
+
+    guess: Guess
+    values: Float[np.ndarray, " n"]
+
+    def of(self, **changes: Any) -> "Scalar":
+        """Return the same values with a changed guess."""
+        return replace(self, guess=replace(self.guess, **changes))
+
+    @cached_property
+    def largest(self) -> float:
+        """Maximum magnitude without spikes."""
+        return largest_size(self.values)
+
+    @property
+    def unwrapped(self) -> tuple[tuple[str, ...], Float[np.ndarray, " n"]]:
+        """The line of TOML that unwraps a wrapped counter, if it is one, and the unwrapped values."""
+        wrap = find_wrap(self.values)
+        if wrap is None:
+            return (), self.values
+        return (f"wrap = {{ above = {number(wrap.above)}, period = {wrap.period} }}",), unwrapped(self.values, wrap)
+
+
+def pedal_lines(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[tuple[str, ...], str]:
+    """Return lines that scale a pedal to 0..1, and the reason: usual logger ranges, otherwise the range in this log."""
+    low, high = np.percentile(values, (0.5, 99.5))
+    # A pedal may be pressed rarely.
+    reached = max(-low, high, held_range(values)[1])
+    if reached > LARGEST_SHARE and (stated := unit_line(channel, guess)):
+        return stated, "in the unit of the log"
+    span = seen_range(values)
+    rests_above_zero = rests_high(values) is False and span[0] > 0.05 and span[1] <= LARGEST_SHARE
+    if low >= -0.05 and 0.05 < high <= LARGEST_SHARE and not rests_above_zero:
+        return (), ""
+    # Pressures have no usual range.
+    measured = guess.channel == "brake_pressure" or bool(guess.unit and channel_unit(channel, guess.unit) is None)
+    whole = None if measured else whole_range(values)
+    if whole == (0.0, 100.0):
+        return ('unit = "percent"', "clip = [0.0, 1.0]"), f"up to {span[1]:.4g}: taken as percent"
+    source = ChannelSource(guess.fields, guess.topic)
+    edits = scaled_to_unit(channel, source, whole or span, turned=bool(whole and whole[0] and rests_high(values)))
+    seen = f"{span[0]:.4g}..{span[1]:.4g}"
+    if whole:
+        note = f"of {whole[0]:g}..{whole[1]:g}, {seen} seen"
+    else:
+        fully = "is that full braking?" if guess.channel == "brake_pressure" else "is it fully pressed?"
+        seen = f"{seen} {guess.unit if measured else ''}".rstrip()
+        note = f"scaled from {seen} to 0..1, the most that this log holds: {fully}"
+    lines = (f"{edit.key.rpartition('.')[2]} = {number(edit.value)}" for edit in edits)
+    return (*lines, "clip = [0.0, 1.0]"), note
+
+
+def signed_pedal(scalars: Mapping[str, Scalar], *, backwards: bool = False) -> dict[str, Entry]:
+    """Return throttle and brake (values below rest) if one column holds both, otherwise nothing.
+
+    Args:
+        backwards: True if values below rest drive backwards: throttle and gear.
+    """
+    throttle = scalars.get("throttle")
+    if throttle is None or throttle.guess.rank == MOTION:
+        return {}
+    guess, (low, high) = throttle.guess, held_range(throttle.values)
+    words = f"{low:.4g}..{high:.4g} seen"
+    if are_pulses(throttle.values, named=are_named_pulses(guess)):
+        rest = pulse_at_rest(throttle.values)
+        full = RANGES["full_pulse"] - rest
+        lines: tuple[str, ...] = (f"scale = {number(1 / full)}", f"offset = {number(-rest / full)}")
+        words += f", pulses (is full throttle {RANGES['full_pulse']:g}?)"
+    elif _is_two_way(throttle, is_only="brake" not in scalars):
+        rest, (lines, full) = 0.0, _scaled(guess, max(-low, high))
+    else:
+        return {}
+    both = rest - low > _BELOW * (high - rest)
+    if backwards and both and "gear" not in scalars:
+        scale = DIRECTION / full
+        gear = (f"scale = {number(scale)}", *((f"offset = {number(-rest * scale)}",) if rest else ()))
+        return {
+            "throttle": Entry(guess, (*lines, "absolute = true", "clip = [0.0, 1.0]"), f"{words}: its size"),
+            "gear": Entry(guess, gear, f"{words}: what is below {rest:g} drives backwards"),
+        }
+    entries = {"throttle": Entry(guess, (*lines, "clip = [0.0, 1.0]"), f"{words}: what is above {rest:g}")}
+    if both and "brake" not in scalars:
+        words += f": what is below {rest:g} brakes"
+        entries["brake"] = Entry(guess, (*lines, "sign = -1", "clip = [0.0, 1.0]"), words)
+    return entries
+
+
+def _is_two_way(throttle: Scalar, *, is_only: bool) -> bool:
+    """Return True for a signed pedal; a trigger rests at an end of its range, but so may a throttle if it is all."""
+    values = throttle.values
+    trigger = not is_only and rests_high(values) and not rests_between(values)
+    return find_wrap(values) is None and is_signed(values) and not trigger
+
+
+def _scaled(guess: Guess, largest: float) -> tuple[tuple[str, ...], float]:
+    """Return the lines that scale a signed pedal to -1..1, and its recorded full scale."""
+    if largest <= LARGEST_SHARE:
+        return (), 1.0
+    full = full_scale(largest) or largest
+    lines = unit_line("throttle", guess)
+    if not lines:
+        lines = ('unit = "percent"',) if full == 100 else (f"scale = {number(1 / full)}",)
+    return lines, 100.0 if lines == ('unit = "percent"',) else full
+
+
+def are_named_pulses(guess: Guess) -> bool:
+    """Return True if the unit or the name marks pulse widths."""
+    return guess.unit == "us" or is_named("pulsed", guess.topic, *guess.fields)
+
+
+def draft_steering(scalars: Mapping[str, Scalar], straight: float | None, max_steer: float) -> dict[str, Entry]:
+    """Return commands and angles of the steering; an angle without a command serves as the command, too.
+
+    Args:
+        straight, max_steer: see `offpiste.inspection.draft_channels.Known`.
+    """
+    steer, angle = scalars.get("steer"), scalars.get("steer_angle")
+    in_hand: dict[str, Entry] = {}
+    if angle is not None and not _to_radians(angle):  # steering wheel angle
+        in_hand = _in_hand(steer, angle, max_steer)
+        steer, angle = steer if steer is not None and steer.guess.rank < FALLBACK else angle, None
+    elif angle is not None and steer is not None and steer.guess.rank >= FALLBACK:
+        steer = None
+    command = steer or angle
+    if command is None:
+        return {}
+    factor = _to_radians(command) if _is_angle(command) else 0.0
+    if not factor and steer is not None and angle is not None and _are_alike(steer, angle):
+        factor = _to_radians(angle)
+    if factor and angle is None and not command.guess.asked_for:
+        angle = command
+    measured = command is angle
+    entries = {"steer": _from_angle(command, factor, measured=measured) if factor else _command(command, straight)}
+    if angle is not None:
+        factor = _to_radians(angle)
+        unit = channel_unit("steer_angle", angle.guess.unit) if angle.guess.unit else "deg" if factor != 1 else ""
+        lines = (f'unit = "{unit}"',) if unit else ()
+        entries["steer_angle"] = Entry(angle.guess, lines, "an angle of the road wheels")
+        if not entries["steer"].max_angle:
+            stated = rounded(angle.largest * factor / min(command.largest, 1.0))
+            entries["steer"] = replace(entries["steer"], max_angle=stated if stated < RANGES["steepest"] else 0.0)
+    return entries | in_hand
+
+
+def _in_hand(steer: Scalar | None, angle: Scalar, max_steer: float) -> dict[str, Entry]:
+    """Return the road wheel angle from the steering wheel angle, scaled by a command of it in the same unit."""
+    if steer is None or not (max_steer and steer.guess.asked_for and _is_angle(steer)) or _to_radians(steer):
+        return {}
+    if steer.guess.unit != angle.guess.unit or not 0.5 < angle.largest / steer.largest < 2:
+        return {}
+    comment = (
+        f"of a steering wheel, of which {steer.largest:.4g} turn the road wheels by max_steer; correct it with that"
+    )
+    return {"steer_angle": Entry(angle.guess, (f"scale = {number(max_steer / steer.largest)}",), comment)}
+
+
+def _are_alike(steer: Scalar, angle: Scalar) -> bool:
+    """Return True if a unitless command has the values of the measured angle; as a share, 1 would be 1 rad."""
+    return not steer.guess.unit and _ALIKE[0] < steer.largest / angle.largest < _ALIKE[1]
+
+
+def _from_angle(steer: Scalar, factor: float, *, measured: bool) -> Entry:
+    """Return a steering command from an angle, scaled to 1 at its maximum, the vehicle's `max_steer`."""
+    unit = channel_unit("steer_angle", steer.guess.unit) if steer.guess.unit else "rad" if factor == 1 else "deg"
+    note = "an angle of the road wheels, which is divided by max_steer"
+    note += "; no command is recorded, and the angle stands for it" if measured else ""
+    lines = (f'unit = "{unit or "rad"}"', "clip = [-1.0, 1.0]")
+    return Entry(steer.guess, lines, note, rounded(steer.largest * factor))
+
+
+def _command(steer: Scalar, straight: float | None) -> Entry:
+    """Return a steering command scaled to -1..1 by its unit or by its values."""
+    guess = steer.guess
+    if guess.rank == MOTION:
+        return Entry(guess, *motion_lines("steer", steer.values, guess.unit))
+    wrap, values = steer.unwrapped
+    low, high = np.percentile(values, (0.5, 99.5))
+    largest, curvature = max(-low, high), is_named("curvature", *guess.fields)
+    if largest > LARGEST_SHARE and (stated := unit_line("steer", guess)):
+        return Entry(guess, (*wrap, *stated), "in the unit of the log")
+    lines: tuple[str, ...] = ()
+    note, middle = "", None
+    if largest > LARGEST_SHARE and not curvature:
+        middle = steering_middle(values, named=are_named_pulses(guess), straight=straight)
+    if middle is not None and middle[1] > 0:
+        centre, reach, note = middle
+        lines = f"scale = {number(1 / reach)}", f"offset = {number(-centre / reach)}", "clip = [-1.0, 1.0]"
+    elif largest > LARGEST_SHARE or curvature:
+        largest = float(np.abs(values[~find_spikes(values)]).max())
+        lines = f"scale = {number(1 / largest)}", "clip = [-1.0, 1.0]"
+        note = f"scaled by its largest value, {largest:.4g}"
+        if curvature:
+            note += ": a curvature, max_steer is the angle of the road wheels that it asks for"
+        elif _is_angle(steer) or largest > RANGES["steering_wheel"]:
+            note += ": of a steering wheel, max_steer is that over the steering's ratio"
+        elif largest < RANGES["steepest"] * 180 / np.pi:
+            note += ': is it an angle of the road wheels? Then unit = "deg" instead'
+    elif low > 0 and 0.3 < np.median(values) < 0.7:
+        lines, note = ("scale = 2.0", "offset = -1.0"), "0..1 read as -1..1"
+    return Entry(guess, (*wrap, *lines), note)
+
+
+def _is_angle(steer: Scalar) -> bool:
+    unit = steer.guess.unit
+    return steer.guess.channel == "steer_angle" or bool(unit and channel_unit("steer_angle", unit) is not None)
+
+
+def _to_radians(steer: Scalar) -> float:
+    """Return the factor to radians of a road wheel angle; 0 if it is too large or is the steering wheel's."""
+    guess = steer.guess
+    names = (guess.topic, *guess.fields, *(parse_label(name).name for name in guess.fields))
+    if guess.in_hand or is_named("steering_wheel", *names):
+        return 0.0
+    units = [channel_unit("steer_angle", guess.unit) or ""] if guess.unit else ["", "deg"]
+    factors = (unit_factor("steer_angle", unit) for unit in units)
+    return next((factor for factor in factors if 0 < steer.largest * factor <= RANGES["widest"]), 0.0)
