@@ -56,20 +56,21 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
     If no topic has both position and heading, e.g. a GNSS receiver with an IMU, they come from separate topics, and the
     heading may be a course over ground. Poses in the Earth-centred frame are a last resort.
     """
-    channels_of = by_topic(sorted(guesses, key=lambda guess: _is_doubtful(log, guess)))
+    usable = [g for g in guesses if g.channel not in _POSE or varies(field_values(log, g))]
+    channels_of = by_topic(sorted(usable, key=_is_course))
     on_ground = {t: each for t, each in channels_of.items() if not _is_earth_centred(log, each.get("position"))}
     best = _whole_pose(log, on_ground)
     if not _has_heading(best):
-        apart = _places_and_headings(log, on_ground)
+        apart = _frequent(log, on_ground, ("position",), ("orientation", "yaw"))
         best = apart if _has_heading(apart) or not best else best
-    best = best or _whole_pose(log, channels_of) or _pose_by_course(log, guesses)
+    best = best or _whole_pose(log, channels_of) or _pose_by_course(log, usable)
     if best and not _RATES & set(best):
         imus = {t: each for t, each in channels_of.items() if "imu" in log.topics[t].type.lower()}
-        best |= _most_frequent(log, imus, "angular_velocity")
+        best |= _frequent(log, imus, ("angular_velocity",))
     if best and "linear_velocity" not in best:
         slips = ("odometry", "wheels", "earth", "commanded")
-        usable = {t: each for t, each in channels_of.items() if not any(is_named(kind, t) for kind in slips)}
-        best |= _most_frequent(log, usable, "linear_velocity")
+        others = {t: each for t, each in channels_of.items() if not any(is_named(kind, t) for kind in slips)}
+        best |= _frequent(log, others, ("linear_velocity",))
     entries: dict[str, Entry] = {}
     for channel in _POSE:
         if channel not in best or (channel == "yaw" and "orientation" in best):  # includes the heading
@@ -101,12 +102,9 @@ def _whole_pose(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dic
 
     Slow or incomplete topics have lower priority, and wheel odometry, which slips, comes after corrected poses.
     """
-    whole = {
-        topic: {c: g for c, g in each.items() if c not in _POSE or varies(field_values(log, g))}
-        for topic in log.topics
-        if "position" in (each := channels_of.get(topic, {})) and {"orientation", "yaw"} & set(each)
-    }
-    spans = {topic: _span(log, topic) for topic, moving in whole.items() if "position" in moving}
+    whole = {topic: channels_of[topic] for topic in log.topics if topic in channels_of}
+    whole = {topic: each for topic, each in whole.items() if "position" in each and {"orientation", "yaw"} & set(each)}
+    spans = {topic: _span(log, topic) for topic in whole}
     longest = max(spans.values(), default=0.0)
     often = [t for t, span in spans.items() if log.topics[t].count > _DENSE * longest and span >= longest / 2]
     corrected = any(is_named("corrected", topic) and _has_heading(whole[topic]) for topic in often)
@@ -117,13 +115,12 @@ def _whole_pose(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dic
         kinds = sum(channel in _POSE for channel in whole[topic])
         return topic in often, _has_heading(whole[topic]), not drifts, kinds, not last, log.topics[topic].count
 
-    return whole[max(spans, key=score)] if spans else {}
+    return dict(whole[max(spans, key=score)]) if spans else {}
 
 
 def _pose_by_course(log: Log, guesses: Sequence[Guess]) -> dict[str, Guess]:
     """Return a position and an unnamed heading found by the course; empty if either is missing."""
-    places = (guess for guess in guesses if guess.channel == "position" and varies(field_values(log, guess)))
-    place = next(places, None)
+    place = next((guess for guess in guesses if guess.channel == "position"), None)
     heading = None if place is None else heading_by_numbers(log, place)
     return {} if place is None or heading is None else {"position": place, "yaw": heading}
 
@@ -137,12 +134,12 @@ def _span(log: Log, topic: str) -> float:
 
 def _has_heading(channels: Mapping[str, Guess]) -> bool:
     """Return True if the channels include the vehicle's heading; a course over ground does not count."""
-    return "orientation" in channels or ("yaw" in channels and not named_course(channels["yaw"].fields[0]))
+    return "orientation" in channels or ("yaw" in channels and not _is_course(channels["yaw"]))
 
 
-def _is_doubtful(log: Log, guess: Guess) -> bool:
-    """Return True if a heading is constant, e.g. from a receiver without one, or is a course over ground."""
-    return guess.channel == "yaw" and (named_course(guess.fields[0]) or not varies(field_values(log, guess)))
+def _is_course(guess: Guess) -> bool:
+    """Return True if a heading is a course over ground, used only as a fallback."""
+    return guess.channel == "yaw" and named_course(guess.fields[0])
 
 
 def _is_earth_centred(log: Log, place: Guess | None) -> bool:
@@ -155,25 +152,12 @@ def _is_earth_centred(log: Log, place: Guess | None) -> bool:
     return is_named("earth", place.topic) or bool(far)
 
 
-def _places_and_headings(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dict[str, Guess]:
-    """Return the most frequent position and heading of different topics; empty if one is missing.
-
-    A course over ground is used only as a fallback.
-    """
+def _frequent(log: Log, channels_of: Mapping[str, Mapping[str, Guess]], *kinds: tuple[str, ...]) -> dict[str, Guess]:
+    """Return a guess for each kind of channels, from the topics with the most samples; empty if one is missing."""
     often = sorted(channels_of, key=lambda topic: -log.topics[topic].count)
-    places, headings = (
-        [g for topic in often for c, g in channels_of[topic].items() if c in kind and varies(field_values(log, g))]
-        for kind in (("position",), ("orientation", "yaw"))
-    )
-    headings.sort(key=lambda guess: _is_doubtful(log, guess))
-    return {guesses[0].channel: guesses[0] for guesses in (places, headings)} if places and headings else {}
-
-
-def _most_frequent(log: Log, channels_of: Mapping[str, Mapping[str, Guess]], channel: str) -> dict[str, Guess]:
-    """Return the varying guess of a channel with the most samples; empty if there is none."""
-    found = sorted((t for t, each in channels_of.items() if channel in each), key=lambda t: -log.topics[t].count)
-    guesses = (channels_of[topic][channel] for topic in found)
-    return next(({channel: guess} for guess in guesses if varies(field_values(log, guess))), {})
+    guesses = sorted((guess for topic in often for guess in channels_of[topic].values()), key=_is_course)
+    found = [next((guess for guess in guesses if guess.channel in kind), None) for kind in kinds]
+    return {guess.channel: guess for guess in found if guess is not None} if all(found) else {}
 
 
 def field_values(log: Log, guess: Guess) -> Float[np.ndarray, "n k"] | None:
