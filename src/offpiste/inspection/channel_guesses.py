@@ -11,7 +11,6 @@ from offpiste.inspection.field_groups import are_quaternions, field_groups, four
 from offpiste.logs.log import Log, Topic
 from offpiste.logs.transforms import STAMPED, frame_pair
 from offpiste.rig.labels import (
-    COMMANDED,
     PRESSURES,
     VOCABULARY,
     Label,
@@ -110,7 +109,7 @@ def _of_topic(log: Log, topic: Topic) -> Iterator[Guess]:
     taken = {field for guess in motion for field in guess.fields}
     for fields, of_the_vehicle in fours(named):
         if not taken & set(fields) and are_quaternions(log, topic.name, fields):
-            if of_the_vehicle and not COMMANDED.search(topic.name):
+            if of_the_vehicle and not is_named("commanded", topic.name):
                 yield Guess("orientation", topic.name, fields)
             taken |= set(fields)
     for channel, fields, unit, rank in field_groups(topic, named):

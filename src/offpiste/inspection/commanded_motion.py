@@ -1,6 +1,5 @@
 """Commands of a motion, i.e. speed and turn rate instead of pedals and steering."""
 
-import re
 from collections.abc import Iterator, Mapping
 from typing import Final
 
@@ -14,15 +13,9 @@ from offpiste.logs.channel import Channel
 from offpiste.logs.log import Topic
 from offpiste.rig.channels import TURN_RATES
 from offpiste.rig.edits import number
-from offpiste.rig.labels import COMMANDED, MEASURED, Label, channel_unit
+from offpiste.rig.labels import PATTERNS, Label, channel_unit, is_named
 from offpiste.rig.rig import Rig
 
-_ALWAYS: Final = "ackermann_msgs/"
-"""Message types of commands unless the topic is named as measured."""
-_WORDS: Final = re.compile(r"[ ._/]*(cmd|com+and(ed)?|desired|target|setpoint|(?<![a-z])(des|ref)(?![a-z]))[ ._/]*")
-_OTHER: Final = re.compile(r"steer|angle|servo|joint|acc|jerk|limit|max|min|lateral|vertical")
-_SPEED: Final = re.compile(r"(^|[ ._/])((linear|velocity|vel|v|speed)[ ._/]*x?|v_x)$")
-_TURN: Final = re.compile(r"(^|[ ._/])(angular[ ._/]*(velocity|vel)?[ ._/]*z|(yaw|turn)[ ._/]*rate|omega|w|w_z)$")
 _FASTEST: Final = 6.5
 """Maximum turn rate in rad/s; larger values are in degrees per second."""
 _DIRECTION: Final = 100.0
@@ -38,25 +31,25 @@ def motion_commands(topic: Topic, named: Mapping[str, Label]) -> Iterator[tuple[
         named: name and unit of the topic's fields.
     """
     by_topic = is_asked_for(topic)
-    asked = {field: label for field, label in named.items() if by_topic or COMMANDED.search(label.name)}
-    plain = {field: _WORDS.sub(" ", label.name).strip(" ._/") for field, label in asked.items()}
-    usable = [field for field, name in plain.items() if not _OTHER.search(name)]
+    asked = {field: label for field, label in named.items() if by_topic or is_named("commanded", label.name)}
+    plain = {field: PATTERNS["command_words"].sub(" ", label.name).strip(" ._/") for field, label in asked.items()}
+    usable = [field for field, name in plain.items() if not is_named("not_motion", name)]
     straight = (f for f in usable if "angular" not in plain[f])
-    speed = next((f for f in straight if _SPEED.search(plain[f]) and _measures("wheel_speed", asked[f])), None)
+    speed = next((f for f in straight if is_named("speed", plain[f]) and _measures("wheel_speed", asked[f])), None)
     if speed is None:
         return
     yield "throttle", (speed,), asked[speed].unit or "m/s"
     yield "gear", (speed,), asked[speed].unit or "m/s"
-    turn = next((f for f in usable if _TURN.search(plain[f]) and _measures("yaw_rate", asked[f])), None)
+    turn = next((f for f in usable if is_named("turn", plain[f]) and _measures("yaw_rate", asked[f])), None)
     if turn is not None and asked[speed].unit in ("", "m/s"):
         yield "steer", (turn, speed), asked[turn].unit or "rad/s"
 
 
 def is_asked_for(topic: Topic, fields: tuple[str, ...] = ()) -> bool:
     """Return True if the type or name of a topic, or any of these fields, marks a command."""
-    if topic.type.startswith(_ALWAYS) and not MEASURED.search(topic.name):
+    if is_named("command_types", topic.type) and not is_named("measured", topic.name):
         return True
-    return any(COMMANDED.search(name) for name in (topic.name, *fields))
+    return is_named("commanded", topic.name, *fields)
 
 
 def _measures(channel: str, label: Label) -> bool:

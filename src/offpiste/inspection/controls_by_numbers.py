@@ -1,6 +1,5 @@
 """Controls without telling names, found by the vehicle's response, e.g. joystick axes."""
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -22,7 +21,7 @@ from offpiste.logs.channel import Channel, read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.channels import ChannelSource
-from offpiste.rig.labels import COMMANDED
+from offpiste.rig.labels import PATTERNS, is_named
 from offpiste.rig.rig import Rig
 
 _FOLLOWS: Final = {"steer": 0.75, "throttle": 0.45, "brake": 0.35}
@@ -45,31 +44,10 @@ _AT_ONCE: Final = 0.1
 """Maximum lag of a simultaneous measurement; wheels and vehicles respond later [s]."""
 _MOST: Final = 24
 """Maximum number of candidate fields."""
-_OF_MOTION: Final = re.compile(r"linear|angular")
-"""Field names of a commanded motion."""
-_MEASURED: Final = re.compile(
-    r"odom|gps|gnss|navsat|twist|accel|magn|image|scan|(?<![a-z])(?:imu|pose|point|tf(?![a-z]))", re.IGNORECASE
-)
-"""Topics and types of measurements."""
-_COMMANDING: Final = re.compile(rf"{COMMANDED.pattern}|actuator|motors", re.IGNORECASE)
-"""Topics of commands to a vehicle or its actuators."""
-_BY_HAND: Final = re.compile(r"(?<![a-z])(joy(stick)?|gamepad|teleop|radio|rc(_?in)?)(?![a-z])", re.IGNORECASE)
-"""Topics of remote controls, with sticks and triggers."""
-_GOES_OUT: Final = re.compile(r"(?<![a-z])(rc)?out?(puts?)?(?![a-z])", re.IGNORECASE)
-"""Topics of a flight controller's actuator outputs."""
 _SIDES: Final = {"left": "right", "right": "left"}
-_SIDE: Final = re.compile(r"(?<![a-z])(left|right)(?![a-z])", re.IGNORECASE)
-"""Names of vehicle sides with separate commands per wheel or track."""
-_STEERING: Final = re.compile(r"steer|joy|com+and|cmd|control", re.IGNORECASE)
-"""Topics that may hold a steering under any field name."""
+"""Vehicle sides with separate commands per wheel or track."""
 _LISTED: Final = 60
 """Maximum number of table columns listed."""
-_FRAME: Final = re.compile(r"can_msgs/(msg/)?Frame$")
-"""Type of raw CAN frames."""
-_MOTION: Final = re.compile(
-    r"acc|gyro|omega|rate|vel|speed|pos|orient|quat|cov|curv|slip|wheel|rpm|yaw|pitch|roll|(?<![a-z])[xyz](?![a-z])"
-)
-"""Names of quantities caused by the motion."""
 
 
 def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
@@ -108,7 +86,7 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
 
 def _may_hold_pedals(topic: str) -> bool:
     """Return True if a topic is named as a command or remote control; too many other fields follow the speed."""
-    return bool(_COMMANDING.search(topic) or _BY_HAND.search(topic))
+    return is_named("to_actuators", topic) or is_named("remote_controls", topic)
 
 
 def _without_copies(near: Sequence[tuple[float, Guess]], name: str, log: Log, rig: Rig) -> list[tuple[float, Guess]]:
@@ -118,7 +96,7 @@ def _without_copies(near: Sequence[tuple[float, Guess]], name: str, log: Log, ri
     """
     kept = list[tuple[float, Guess, Channel]]()
     read = [(score, guess, channel) for score, guess in near if (channel := _read(name, guess, log, rig)) is not None]
-    read.sort(key=lambda one: (float(np.abs(one[2].values).max()) > _WHOLE, not _GOES_OUT.search(one[1].topic)))
+    read.sort(key=lambda one: (float(np.abs(one[2].values).max()) > _WHOLE, not is_named("outputs", one[1].topic)))
     for score, guess, channel in read:
         at = channel.time[:: max(len(channel.time) // 2000, 1)]
         others = (np.interp(at, other.time, other.values[:, 0]) for _, _, other in kept)
@@ -212,14 +190,15 @@ def is_measured_topic(topic: Topic) -> bool:
 
     Topics named as commands are excluded, such as TartanDrive's `cmd/twist.npy`, unless they command a motion.
     """
-    if COMMANDED.search(topic.name) and not any(_OF_MOTION.search(field) for field in topic.fields):
+    if is_named("commanded", topic.name) and not is_named("of_motion", *topic.fields):
         return False
-    return bool(topic.name and _MEASURED.search(f"{topic.name} {topic.type}"))
+    return bool(topic.name) and is_named("measured_topics", f"{topic.name} {topic.type}")
 
 
 def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
     """Yield unused varying fields not named as measurements, commands first."""
-    for guess in sorted(_unread(log, rig), key=lambda guess: not (guess.asked_for or _COMMANDING.search(guess.topic))):
+    unread = list(_unread(log, rig))
+    for guess in sorted(unread, key=lambda guess: not (guess.asked_for or is_named("to_actuators", guess.topic))):
         try:
             values = log.read(guess.topic, guess.fields).values[:, 0]
         except OffpisteError:
@@ -233,12 +212,12 @@ def _unread(log: Log, rig: Rig) -> Iterator[Guess]:
     """Yield unused fields not named as measurements, in log order."""
     read = {(source.topic, field) for source in rig.channels.values() for field in source.fields}
     for topic in log.topics.values():
-        if topic.count < 100 or topic.part_of or is_measured_topic(topic) or _FRAME.search(topic.type):
+        if topic.count < 100 or topic.part_of or is_measured_topic(topic) or is_named("can_frames", topic.type):
             continue
         sides = _sides(topic, log)
         for field, label in labels(topic).items():
-            asked = COMMANDED.search(topic.name) or COMMANDED.search(label.name)
-            moved = not asked and _MOTION.search(label.name.rpartition("/")[2])
+            asked = is_named("commanded", topic.name, label.name)
+            moved = not asked and is_named("caused", label.name.rpartition("/")[2])
             if (topic.name, field) not in read and field not in (log.clock.column, *sides) and not moved:
                 yield Guess("", topic.name, (field,), label.unit, asked_for=is_asked_for(topic, (field,)))
 
@@ -254,7 +233,7 @@ def _sides(topic: Topic, log: Log) -> list[str]:
 
 def _other_side(name: str) -> str | None:
     """Return the name of the opposite side's counterpart; None if it names no side."""
-    other = _SIDE.sub(lambda side: _SIDES[side[0].lower()], name)
+    other = PATTERNS["sides"].sub(lambda side: _SIDES[side[0].lower()], name)
     return None if other == name else other
 
 
@@ -264,9 +243,9 @@ def why_no_steering(log: Log) -> str:
     words = ""
     for topic in log.topics.values():
         if not topic.part_of and not is_measured_topic(topic):
-            fields = [field for field in _sides(topic, log) if _COMMANDING.search(f"{topic.name} {field}")]
+            fields = [field for field in _sides(topic, log) if is_named("to_actuators", f"{topic.name} {field}")]
             sided += [f"{topic.name} {field}".strip() for field in fields]
-        if _FRAME.search(topic.type):
+        if is_named("can_frames", topic.type):
             words += f"{topic.name} holds raw CAN frames: decode them with the DBC of the vehicle first. "
     if sided:
         words += f"{', '.join(sided[:4])} drive one side of the vehicle each: log their difference as the steering, "
@@ -280,6 +259,6 @@ def steering_candidates(log: Log) -> str:
     if list(log.topics) == [""]:
         return f"{why}The columns are: {', '.join(log.topics[''].fields[:_LISTED])}"
     others = [t for t in log.topics.values() if t.fields and not (t.part_of or is_measured_topic(t))]
-    topics = [topic for topic in others if _STEERING.search(topic.name)] or others
+    topics = [topic for topic in others if is_named("steering_topics", topic.name)] or others
     named = [f"{topic.name} ({', '.join(map(topic.in_words, topic.fields[:8]))})" for topic in topics]
     return why + (f"It may be in: {'; '.join(named)}" if named else "All topics are named like measurements.")

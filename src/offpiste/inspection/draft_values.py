@@ -19,7 +19,7 @@ from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log, Samples
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, rounded
-from offpiste.rig.labels import COMMANDED
+from offpiste.rig.labels import is_named
 from offpiste.rig.rig import Rig, Vehicle
 
 SMALL_CAR: Final = RANGES["wheels"][0][0] - RANGES["wheels"][2][0]
@@ -75,7 +75,8 @@ def _unnamed(log: Log, place: Guess) -> Iterator[tuple[str, str, Float[np.ndarra
     """Yield topic, name, stamps and values of varying fields that are neither positions nor commands."""
     for topic in log.topics.values():
         for field in topic.fields:
-            if topic.part_of or field in (log.clock.column, *place.fields) or COMMANDED.search(f"{topic.name} {field}"):
+            known = field in (log.clock.column, *place.fields)
+            if topic.part_of or known or is_named("commanded", f"{topic.name} {field}"):
                 continue
             try:
                 time, values = _in_order(log.read(topic.name, (field,)))

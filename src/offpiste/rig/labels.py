@@ -24,8 +24,6 @@ VOCABULARY: Final = tomllib.loads((resources.files("offpiste.rig") / "vocabulary
 
 PATTERNS: Final = {name: re.compile(pattern) for name, pattern in VOCABULARY["patterns"].items()}
 """Patterns of names (see vocabulary.toml)."""
-COMMANDED, MEASURED = PATTERNS["commanded"], PATTERNS["measured"]
-"""Patterns of names of commands, and of measured steering unless `COMMANDED` matches, too."""
 GEOGRAPHIC_NAMES: Final = tuple(PATTERNS[name] for name in ("latitude", "longitude", "height"))
 PRESSURES: Final = frozenset(("pa", "kpa", "mpa", "bar", "psi"))
 """Units of pressures."""
@@ -225,4 +223,4 @@ def is_measured_steering(name: str, rig: Rig) -> bool:
     if name == "steer_angle" or rig.reads_alike("steer", "steer_angle"):
         return True
     names = " ".join((rig.channels[name].topic, *rig.channels[name].fields))
-    return MEASURED.search(names) is not None and COMMANDED.search(names) is None
+    return is_named("measured", names) and not is_named("commanded", names)
