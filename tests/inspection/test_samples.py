@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, checked, drive_log, rig, severe
 
-from offpiste.inspection.dropouts import check_dropouts
-from offpiste.inspection.frozen import check_frozen
+from offpiste.inspection.held import check_dropouts, check_frozen
 from offpiste.inspection.inspect import inspect_log
 
 CLEAN = drive_log()

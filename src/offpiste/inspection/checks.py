@@ -4,30 +4,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from offpiste.inspection.clocks import check_clocks
+from offpiste.inspection.clocks import check_clocks, check_headers, check_rates, check_steps
 from offpiste.inspection.course import heading_fits
 from offpiste.inspection.draft_values import check_draft_values, check_size
 from offpiste.inspection.driven_path import DrivenPath
-from offpiste.inspection.dropouts import check_dropouts
-from offpiste.inspection.dropped import check_dropped
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.frozen import check_frozen
 from offpiste.inspection.gear import check_gear, pedal_reverses
 from offpiste.inspection.heading_drift import check_heading_drift, check_heading_noise
+from offpiste.inspection.held import check_dropouts, check_frozen
 from offpiste.inspection.late_poses import check_late_poses
 from offpiste.inspection.lost_throttle import check_lost_throttle
 from offpiste.inspection.missing import check_missing, check_same_pedals, check_unread
-from offpiste.inspection.on_change import check_on_change
 from offpiste.inspection.pedals import check_controls, check_pedals, pedal_fits
 from offpiste.inspection.range_ends import check_range_ends
-from offpiste.inspection.ranges import check_ranges
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.resolution import check_resolution
+from offpiste.inspection.samples import channel_signals, check_ranges, check_signals, check_valid, other_signals
 from offpiste.inspection.saturation import check_saturation
 from offpiste.inspection.senders import check_senders
-from offpiste.inspection.several_clocks import check_rates, check_steps
-from offpiste.inspection.signals import channel_signals, check_signals, other_signals
-from offpiste.inspection.stamps import MISSING, check_headers, check_stamps
+from offpiste.inspection.stamps import MISSING, check_on_change, check_stamps
 from offpiste.inspection.steering import check_steering, check_upside_down
 from offpiste.inspection.steering_copies import check_computed_pose, check_copies
 from offpiste.inspection.steering_fit import steering_fits
@@ -98,7 +93,7 @@ def check_topics(topics: Topics) -> list[Finding]:
         findings += check_unread(recorded, rig)
     if rig is not None and given:
         findings += check_missing(recorded, rig) + check_same_pedals(rig)
-        findings += check_ranges(recorded, rig) + check_dropped(recorded, rig)
+        findings += check_ranges(recorded, rig) + check_valid(recorded, rig)
         findings += check_draft_values(rig) + check_size(rig)
     return findings
 

@@ -1,31 +1,235 @@
-"""Check for clocks that drift against the pose's clock, by wheel speeds."""
+"""Checks of clocks: of another origin or rate, apart, all stepping back, and drifting against the wheels' speed."""
 
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from offpiste.core.channels import control_of
+from offpiste.core.errors import LogError
 from offpiste.inspection.driven_path import DrivenPath
-from offpiste.inspection.findings import Finding, Severity
-from offpiste.inspection.recorded_log import Recorded
-from offpiste.inspection.signals import field_in_words
+from offpiste.inspection.findings import Cure, Finding, Severity, fixable
+from offpiste.inspection.recorded_log import Recorded, beginning, is_bulk
+from offpiste.inspection.samples import field_in_words
 from offpiste.logs.channel import Channel
-from offpiste.logs.clock_drift import estimate_lag
+from offpiste.logs.clock_drift import DRIFT_LIMIT, common_step, estimate_lag, least_delays
+from offpiste.logs.log import Log, SetBack
+from offpiste.rig.channels import Clock
 from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.rig import Rig
 
-_FOLLOWS = 0.97
+RECEIVE: Final = Edit("clock.stamps", "receive")
+ORIGINS: Final = 86_400.0
+"""Minimum distance between clocks with different origins [s]; time zones differ by less."""
+APART: Final = 0.5
+"""Minimum difference in delay between header and arrival that indicates another clock [s]; sending takes less."""
+DRIFT: Final = 0.1
+"""Minimum drift over the log that is reported [s]."""
+_STRAIGHT: Final = 0.2
+"""Maximum deviation from a line, as a share of the drift, for a clock of another rate; growing delays deviate more."""
+_ONE: Final = "stamp all topics by one clock (of a simulation: use_sim_time in all nodes, and in the recorder)"
+_REAL: Final = 0.05
+"""Maximum rate difference of a real-time clock from the recorder's clock; simulations run at any rate."""
+_REAL_TIME: Final = 1e-3
+"""Maximum rate difference at which arrival times are as good as header stamps."""
+_BLOCKS: Final = 12
+"""Number of time blocks over which the minimum delay is taken."""
+_UNREAD: Final = "none: no channel reads it"
+_FOLLOWS: Final = 0.97
 """Minimum correlation of a wheel speed field with the speed."""
-_MAX_LAG = 4.0
-_LATE = 0.15
+_MAX_LAG: Final = 4.0
+_LATE: Final = 0.15
 """Minimum reported lag [s]."""
-_LEADS = -2.0
+_LEADS: Final = -2.0
 """Lower limit of a commanded speed's lag; vehicles respond faster than this [s]."""
-_SLIP = (-0.6, _LATE)
-"""Lags explained by wheels that spin or lock [s]."""
-_CHANGE = 0.3
+_SLIP: Final = -0.6
+"""Lower limit of the lags explained by wheels that spin or lock [s]."""
+_CHANGE: Final = 0.3
 """Minimum change between the 5th and 95th percentile of the lag that counts as drift [s]."""
+
+
+class Pace(NamedTuple):
+    """Rate of a topic's clock relative to the recorder's.
+
+    Attributes:
+        rate: seconds of the clock per second of the recorder's clock.
+        drift: increase of the delay from stamp to arrival over the log [s].
+        straight: whether the delay changes linearly, or hardly.
+    """
+
+    rate: float
+    drift: float
+    straight: bool
+
+
+def _arrivals(topic: Recorded) -> Float[np.ndarray, " n"]:
+    """Return the arrival times of a topic whose `time` holds header stamps [s]."""
+    return topic.time if topic.other is None else topic.other
+
+
+def pace(topic: Recorded) -> Pace | None:
+    """Estimate the rate of a topic's clock from arrival times; None if there are too few messages."""
+    known = np.isfinite(topic.time) & np.isfinite(_arrivals(topic))
+    stamps, arrived = topic.time[known], _arrivals(topic)[known]
+    if len(stamps) < 2 * _BLOCKS or not arrived.max() > arrived.min():
+        return None
+    edges = np.linspace(arrived.min(), arrived.max(), _BLOCKS + 1)
+    delay, middle = least_delays(arrived, arrived - stamps, edges), (edges[1:] + edges[:-1]) / 2 - edges[0]
+    seen = np.isfinite(delay)
+    if seen.sum() < _BLOCKS // 2:
+        return None
+    delay, middle = delay[seen] - delay[seen][0], middle[seen]
+    slope, offset = np.polyfit(middle, delay, 1)
+    drift = float(slope * (edges[-1] - edges[0]))
+    straight = np.abs(delay - slope * middle - offset).max() < _STRAIGHT * abs(drift) or abs(drift) < DRIFT / 2
+    return Pace(1 - float(slope), drift, bool(straight))
+
+
+def _has_arrivals(recorded: Mapping[str, Recorded], clock: Clock) -> bool:
+    """Return whether arrival times are known in addition to header stamps."""
+    return clock.stamps == "header" and any(topic.other is not None for topic in recorded.values())
+
+
+def other_origin(
+    recorded: Mapping[str, Recorded], topic: str, pose: str, clock: Clock, *, used: bool
+) -> Finding | None:
+    """Report a topic whose clock has another origin than the pose's clock."""
+    if not _has_other_origin(recorded[topic], recorded[pose]):
+        return None
+    own, other = (_origin(float(recorded[name].rising[0])) for name in (topic, pose))
+    what = f"has another clock than {pose}: they count from different origins"
+    evidence = f"it begins at {own}, {pose} at {other}"
+    cure: Cure = ()
+    if _has_arrivals(recorded, clock):
+        posed = pace(recorded[pose])
+        if posed is not None and abs(posed.rate - 1) < _REAL_TIME:
+            cure = (RECEIVE,)
+        elif posed is not None:
+            evidence += f", whose clock runs at {posed.rate:.4g} times the recorder's rate"
+    return fixable("fatal" if used else "note", topic, what, evidence, cure, advice=_ONE)
+
+
+def _has_other_origin(topic: Recorded, pose: Recorded) -> bool:
+    both = len(topic.rising) > 0 and len(pose.rising) > 0
+    return both and bool(abs(topic.rising[0] - pose.rising[0]) > ORIGINS)
+
+
+def _origin(start: float) -> str:
+    if start > 1e9:
+        return f"{start:.3f} s, as of a wall clock ({np.datetime64(int(start), 's')} UTC)"
+    return f"{start:.3f} s, as of a simulation or since start-up"
+
+
+def check_rates(recorded: Mapping[str, Recorded], pose: str, clock: Clock, *, used: Collection[str]) -> list[Finding]:
+    """Report topics whose clock runs at another rate than the pose's clock, relative to arrival times.
+
+    Args:
+        used: topics that a rig reads, if there is one.
+    """
+    posed = pace(recorded[pose]) if _has_arrivals(recorded, clock) and pose in recorded else None
+    if posed is None or not posed.straight:
+        return []
+    findings = []
+    for name, topic in recorded.items():
+        own = None if name == pose or _has_other_origin(topic, recorded[pose]) else pace(topic)
+        drift = 0.0 if own is None else posed.drift - own.drift
+        if own is None or not own.straight or abs(drift) < DRIFT:
+            continue
+        apart = own.rate / posed.rate - 1
+        much = f"{abs(apart):.2%}" if abs(apart) > 1e-3 else f"{1e6 * abs(apart):.0f} ppm"
+        what = f"its clock runs {much} {'faster' if apart > 0 else 'slower'} than that of {pose}"
+        evidence = f"{abs(drift):.2f} s over the log, by the times of arrival: in a second of the recorder's clock "
+        evidence += f"{own.rate:.6f} s of it and {posed.rate:.6f} s of the pose's"
+        if name not in used:
+            findings.append(Finding("note", name, what, evidence, _UNREAD, 0.5))
+            continue
+        cure: Cure = (RECEIVE,) if abs(posed.rate - 1) < _REAL else ()
+        severity: Severity = "fatal" if abs(drift) > DRIFT_LIMIT else "warning"
+        findings.append(fixable(severity, name, what, evidence, cure, advice=_ONE))
+    return findings
+
+
+def read_by_arrival(log: Log, rig: Rig) -> bool:
+    """Return whether clocks differ so much from the pose's clock that controls must be matched by arrival times."""
+    pose, clock = rig.channels["position"].topic, rig.clock
+    recorded = {}
+    for name, topic in log.topics.items():
+        if not topic.fields or is_bulk(topic) or topic.part_of:
+            continue
+        with suppress(LogError):  # unreadable topics are reported elsewhere
+            time, arrived = log.stamps(name), log.stamps(name, stamps="receive")
+            other = None if np.array_equal(time, arrived, equal_nan=True) else arrived
+            recorded[name] = Recorded(topic, time, other, (), np.zeros((len(time), 0)))
+    if pose not in recorded:
+        return False
+    apart = [other_origin(recorded, name, pose, clock, used=True) for name in recorded if name != pose]
+    apart += check_rates(recorded, pose, clock, used=recorded)
+    return any(finding is not None and finding.severity == "fatal" and finding.cures for finding in apart)
+
+
+def check_headers(recorded: Mapping[str, Recorded], clock: Clock, *, used: Collection[str]) -> list[Finding]:
+    """Compare header stamps with arrival times: headers never set, or a topic's clock offset from the others.
+
+    Args:
+        used: topics that a rig reads, if any; findings on others are notes.
+    """
+    if not _has_arrivals(recorded, clock):
+        return []
+    both = {name: r for name, r in recorded.items() if len(r.time) > 2}
+    late = {name: float(np.nanmedian(_arrivals(r) - r.time)) for name, r in both.items()}
+    usual = float(np.median(list(late.values())))
+    findings = []
+    for name, r in both.items():
+        if r.other is not None and np.ptp(r.time) == 0:
+            what, evidence, score = "all header stamps are equal", f"{r.time[0]:.3f} s in {len(r.time)} messages", 1.0
+        elif APART < abs(late[name] - usual) < ORIGINS and len(both) > 1:
+            what, score = "its header's clock is apart from the others'", 0.6
+            evidence = f"arrival is {late[name]:.2f} s after the header, {usual:.2f} s for the topic in the middle"
+        else:
+            continue
+        if used and name not in used:
+            findings.append(Finding("note", name, what, evidence, _UNREAD, score))
+        else:
+            findings.append(fixable("warning", name, what, evidence, (RECEIVE,), score=score))
+    return findings
+
+
+def check_steps(
+    recorded: Mapping[str, Recorded], clock: Clock, *, used: Collection[str], set_back: SetBack | None
+) -> list[Finding]:
+    """Report a step back of the clocks of all topics at the same time.
+
+    Args:
+        used: topics that the rig reads; without a rig (empty) all topics count.
+        set_back: step of the recorder's clock, if any; samples are read in the order of that clock.
+    """
+    topics = [r for name, r in recorded.items() if (name in used or not used) and len(r.rising) > 20]
+    cure: Cure = ()
+    if set_back is not None:
+        step = set_back if any(r.other is None or not _steady(r, set_back) for r in topics) else None
+    else:
+        step = common_step([topic.time for topic in topics])
+        cure = (RECEIVE,) if clock.stamps == "header" and all(r.other is not None for r in topics) else ()
+    if step is None:
+        return []
+    what = f"all clocks step back by {step.by:.2f} s"
+    evidence = f"at {step.time - beginning(recorded):.2f} s, stamp {step.time:.3f} s; "
+    evidence += "the samples around it are in no order"
+    how = "cut the log there, and give both parts: the clock was set while it was recorded"
+    return [fixable("fatal", "log", what, evidence, cure, advice=how)]
+
+
+def _steady(topic: Recorded, set_back: SetBack) -> bool:
+    """Return whether header stamps continued when the recorder's clock stepped back: the delay drops by the step."""
+    arrived = _arrivals(topic)
+    before, after = arrived < set_back.time - set_back.by, arrived > set_back.time
+    if not before.any() or not after.any():
+        return False
+    delay = arrived - topic.time
+    return bool(np.median(delay[before]) - np.median(delay[after]) > set_back.by / 2)
 
 
 @dataclass(frozen=True)
@@ -39,76 +243,71 @@ class WheelSpeed:
     samples: Channel
 
 
-def find_wheel_speeds(recorded: dict[str, Recorded], path: DrivenPath, *, besides: set[str]) -> list[WheelSpeed]:
-    """Return fields of non-pose topics that are proportional to the speed, with lags up to two seconds."""
-    result = []
-    for topic, r in recorded.items():
-        if topic in besides or len(r.time) < 200:
-            continue
-        keep = np.append(True, r.time[1:] > r.time[:-1]) & np.isfinite(r.values).all(axis=1) & np.isfinite(r.time)
-        for field, values in zip(r.fields, r.values[keep].T, strict=True):
-            wheel = _proportional(path, topic, field, r.time[keep], values)
-            if wheel is not None:
-                result.append(wheel)
-    return result
+def check_clocks(recorded: Mapping[str, Recorded], path: DrivenPath, rig: Rig, *, besides: set[str]) -> list[Finding]:
+    """Return a finding for each clock of the rig's channels that is late or drifts, one per group of equal stamps.
 
-
-def check_clocks(recorded: dict[str, Recorded], path: DrivenPath, rig: Rig, *, besides: set[str]) -> list[Finding]:
-    """Return a finding for each clock of the rig's channels that is late or drifts, one per group of equal stamps."""
-    known = set(rig.alignment.topics) if rig.alignment else set()
+    Args:
+        besides: topics of the pose.
+    """
     # If the throttle commands the motor speed, the vehicle's speed follows later: a response, not a clock error.
     controls = [source for name, source in rig.channels.items() if control_of(name) is not None]
     commanded = {(source.topic, field) for source in controls for field in source.fields}
+    speed = np.isfinite(path.speed)
+    reference = Channel("speed", "m/s", path.time[speed], path.speed[speed, None])
     findings: list[Finding] = []
-    checked: set[str] = set()
-    for wheel in sorted(find_wheel_speeds(recorded, path, besides=besides | known), key=lambda w: -w.correlation):
+    checked = besides | (set(rig.alignment.topics) if rig.alignment else set())
+    for wheel in sorted(_wheel_speeds(recorded, path, checked), key=lambda w: -w.correlation):
         if wheel.topic in checked or (wheel.topic, wheel.field) in commanded:
             continue
         together = {t for t, r in recorded.items() if np.array_equal(r.time, recorded[wheel.topic].time)}
-        shared = [topic for topic in recorded if topic in together - besides]
         checked |= together
-        if not any(source.topic in shared for source in rig.channels.values()):
+        shared = [topic for topic in recorded if topic in together - besides]
+        readers = {name: source for name, source in rig.channels.items() if source.topic in shared}
+        if not readers:
             continue
-        speed = np.isfinite(path.speed)
-        reference = Channel("speed", "m/s", path.time[speed], path.speed[speed, None])
         lag = estimate_lag(reference, wheel.samples, max_lag=_MAX_LAG).lag
         low, middle, high = np.percentile(lag, (5, 50, 95))
-        field = field_in_words(wheel.topic, wheel.field)
-        source = {"topic": wheel.topic, "fields": [wheel.field], "scale": rounded(wheel.scale)}
-        readers = {name for name, source in rig.channels.items() if source.topic in shared}
         if all(map(control_of, readers)) and _LEADS < low <= high < _LATE:
             continue  # a commanded speed, followed by the vehicle's
-        slips = _SLIP[0] < low <= high < _SLIP[1]
-        if together & besides:  # a clock is not ahead of itself, however far wheels run ahead
-            slips = low < -_LATE or high < _SLIP[1]
-        if high - low > _CHANGE and slips:
+        evidence = f"{field_in_words(wheel.topic, wheel.field)} follows the speed (correlation "
+        evidence += f"{wheel.correlation:.2f}), {low:+.2f} to {high:+.2f} s late (5 to 95 %)"
+        # Leads caused by wheel slip are harmless if no model reads channels of that clock.
+        severity: Severity = "warning" if readers.keys() - {"wheel_speed"} else "note"
+        if high - low <= _CHANGE:
+            late = [name for name, source in readers.items() if abs(middle - source.delay) > _LATE]
+            late = late if abs(middle) > _LATE else []
+            cure = tuple(Edit(f"channels.{name}.delay", round(float(middle), 2)) for name in late)
+            what, score = "is late" if middle > 0 else "is early", 0.8
+        elif _slips(low, high, shares_pose=bool(together & besides)):
             continue
-        evidence = f"{field} follows the speed (correlation {wheel.correlation:.2f}), "
-        evidence += f"{low:+.2f} to {high:+.2f} s late (5 to 95 %)"
-        if high - low > _CHANGE:
-            edit = Edit("alignment", {"topics": shared, "speed": source, "max_lag": _MAX_LAG})
-            where, what = ", ".join(shared), "has a clock that drifts"
-            findings.append(Finding(_severity(shared, rig), where, what, evidence, str(edit), 0.9, ((edit,),)))
         else:
-            findings += _constant(shared, float(middle), evidence, rig)
+            speeds = {"topic": wheel.topic, "fields": [wheel.field], "scale": rounded(wheel.scale)}
+            cure = (Edit("alignment", {"topics": shared, "speed": speeds, "max_lag": _MAX_LAG}),)
+            what, score = "has a clock that drifts", 0.9
+        findings += [fixable(severity, ", ".join(shared), what, evidence, cure, score=score)] if cure else []
     return findings
 
 
-def _constant(topics: list[str], lag: float, evidence: str, rig: Rig) -> list[Finding]:
-    """Return a finding for a constant lag not yet covered by the delays of the rig's channels."""
-    sources = {name: source for name, source in rig.channels.items() if source.topic in topics}
-    readers = [name for name, source in sources.items() if abs(lag - source.delay) > _LATE]
-    if abs(lag) <= _LATE or not readers:
-        return []
-    cure = tuple(Edit(f"channels.{name}.delay", round(lag, 2)) for name in readers)
-    what = "is late" if lag > 0 else "is early"
-    return [Finding(_severity(topics, rig), ", ".join(topics), what, evidence, ", ".join(map(str, cure)), 0.8, (cure,))]
+def _slips(low: float, high: float, *, shares_pose: bool) -> bool:
+    """Return whether spinning or locked wheels explain the range of a lag [s].
+
+    Args:
+        shares_pose: whether it is the pose's clock, which is not ahead of itself, however far wheels run ahead.
+    """
+    return low < -_LATE or high < _LATE if shares_pose else _SLIP < low <= high < _LATE
 
 
-def _severity(topics: list[str], rig: Rig) -> Severity:
-    """Return the severity; leads caused by wheel slip are harmless if no model reads channels of that clock."""
-    readers = {name for name, source in rig.channels.items() if source.topic in topics}
-    return "warning" if readers - {"wheel_speed"} else "note"
+def _wheel_speeds(recorded: Mapping[str, Recorded], path: DrivenPath, besides: set[str]) -> Iterator[WheelSpeed]:
+    """Yield fields of other topics that are proportional to the speed, with lags up to two seconds."""
+    for topic, r in recorded.items():
+        if topic in besides or len(r.time) < 200:
+            continue
+        keep: Bool[np.ndarray, " n"] = np.append(True, r.time[1:] > r.time[:-1])
+        keep &= np.isfinite(r.values).all(axis=1) & np.isfinite(r.time)
+        for field, values in zip(r.fields, r.values[keep].T, strict=True):
+            wheel = _proportional(path, topic, field, r.time[keep], values)
+            if wheel is not None:
+                yield wheel
 
 
 def _proportional(
@@ -126,10 +325,8 @@ def _proportional(
         correlation = float(np.corrcoef(value, speed)[0, 1])
         if correlation > best:
             best, scale = correlation, float(np.median(speed[fast]) / max(np.median(value[fast]), 1e-9))
-    if best < _FOLLOWS:
-        return None
     # Proportional, not only correlated: a gear or a throttle may rise with the speed, too.
     value = np.abs(np.interp(path.time, time, values)) * scale
-    if np.sqrt(np.mean((value - speed) ** 2)) > 0.3 * np.sqrt(np.mean(speed**2)):
+    if best < _FOLLOWS or np.sqrt(np.mean((value - speed) ** 2)) > 0.3 * np.sqrt(np.mean(speed**2)):
         return None
     return WheelSpeed(topic, field, scale, best, Channel("wheel_speed", "m/s", time, np.abs(values)[:, None] * scale))

@@ -10,6 +10,7 @@ from msgspec import structs
 
 from offpiste.core.errors import OffpisteError, RigError
 from offpiste.inspection.channel_guesses import guess_channels
+from offpiste.inspection.clocks import read_by_arrival
 from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, steering_candidates
 from offpiste.inspection.draft_channels import Known, draft_channels
@@ -27,7 +28,6 @@ from offpiste.inspection.draft_values import (
 from offpiste.inspection.gear import reverses_by_pedal
 from offpiste.inspection.missing import no_pose
 from offpiste.inspection.recorded_log import ReceivedLog, is_bulk
-from offpiste.inspection.several_clocks import read_by_arrival
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.usual_ranges import RANGES
 from offpiste.inspection.velocity import fit_frames

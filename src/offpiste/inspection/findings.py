@@ -49,6 +49,14 @@ class Finding:
     also: tuple[str, ...] = ()
 
 
+def fixable(
+    severity: Severity, where: str, what: str, evidence: str, *cures: Cure, score: float = 1.0, advice: str = ""
+) -> Finding:
+    """Return a finding whose remedy is its first fix, or advice if it has none; empty fixes are dropped."""
+    known = tuple(cure for cure in cures if cure)
+    return Finding(severity, where, what, evidence, ", ".join(map(str, known[0])) if known else advice, score, known)
+
+
 def of_runs(name: str, what: str, lasts: Float[np.ndarray, " r"], longest: str, driving: float) -> Finding:
     """Return a warning about runs of these lengths [s], the longest in words, during some time of driving [s]."""
     times = "once" if len(lasts) == 1 else f"{len(lasts)} times, {lasts.sum():.1f} s in all"

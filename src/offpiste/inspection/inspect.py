@@ -17,7 +17,7 @@ from offpiste.inspection.findings import Finding, is_fatal, ranked
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, with_fields_of
 from offpiste.inspection.remedies import explain
 from offpiste.inspection.sensors import can_be_checked, check_sensors
-from offpiste.inspection.timing import timing
+from offpiste.inspection.stamps import timing
 from offpiste.logs.log import Log
 from offpiste.rig.channels import Clock
 from offpiste.rig.edits import Edit, edited

@@ -11,7 +11,7 @@ from offpiste.inspection.course import heading_fits
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import LAGS, SURE, LagFit, check_delay, fit_lags, lagged, sampled
-from offpiste.inspection.ranges import BRAKES, is_untouched
+from offpiste.inspection.samples import BRAKES, is_untouched
 from offpiste.inspection.steering_fit import SteeringFit
 from offpiste.inspection.usual_ranges import held_range, rests_high, scaled_to_unit, whole_range
 from offpiste.logs.channel import Channel

@@ -17,7 +17,7 @@ from offpiste.inspection.findings import Finding
 from offpiste.logs.channel import increasing
 from offpiste.logs.log import Log, Samples, SetBack, Topic
 from offpiste.logs.transforms import STAMPED, frame_pair, listed
-from offpiste.rig.channels import SECONDS_PER_UNIT, Clock
+from offpiste.rig.channels import SECONDS_PER_UNIT, ChannelSource, Clock
 from offpiste.rig.labels import is_array_entry, is_named
 from offpiste.rig.rig import Rig
 
@@ -49,6 +49,14 @@ class Recorded:
     def rising(self) -> Float[np.ndarray, " m"]:
         """Finite, strictly increasing stamps that reading keeps [s]."""
         return rising(self.time)
+
+    def has(self, source: ChannelSource) -> bool:
+        """Return whether the topic has all fields that a channel reads."""
+        return {*source.fields} <= {*self.fields}
+
+    def columns(self, source: ChannelSource) -> Float[np.ndarray, "n c"]:
+        """Return the columns that a channel reads."""
+        return self.values[:, [self.fields.index(field) for field in source.fields]]
 
     @property
     def copies(self) -> bool:

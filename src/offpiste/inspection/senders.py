@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, fixable
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.log import Topic
 from offpiste.logs.transforms import frame_pair
@@ -19,10 +19,8 @@ _TURNS: Final = 0.3
 """Minimum share of samples of alternating senders that continue a sample before the last."""
 _NEARER: Final = 0.1
 """Maximum distance to the continued sample, as a share of the distance to the last one."""
-_LARGE: Final = 0.1
-"""Minimum distance to the last sample, as a share of the range of values."""
-_LARGE_STEP: Final = 0.002
-"""The same for positions, as a share of the extent of the path."""
+_LARGE, _LARGE_STEP = 0.1, 0.002
+"""Minimum distance to the last sample, as a share of the range of values; of the extent of the path for positions."""
 
 
 def check_senders(
@@ -39,7 +37,7 @@ def check_senders(
         if any(part.name in used for part in parts):
             continue
         if parts:
-            findings.append(_by_frames(name, parts, rig, used=name in used))
+            findings.append(_by_frames(name, parts, rig))
         elif rig is not None and name in used and (share := _alternating(r, rig)) > _TURNS:
             what = "has several senders: its values alternate between two series"
             evidence = f"{share:.0%} of its samples continue one before the last, and lie far from the last"
@@ -48,7 +46,7 @@ def check_senders(
     return findings
 
 
-def _by_frames(name: str, parts: list[Topic], rig: Rig | None, *, used: bool) -> Finding:
+def _by_frames(name: str, parts: list[Topic], rig: Rig | None) -> Finding:
     body = rig.frames.body if rig is not None else ""
 
     def order(part: Topic) -> tuple[bool, bool, int]:
@@ -59,18 +57,18 @@ def _by_frames(name: str, parts: list[Topic], rig: Rig | None, *, used: bool) ->
     what = f"has {len(parts)} senders: {', '.join(part.name.removeprefix(name).strip() for part in parts)}"
     evidence = f"{', '.join(str(part.count) for part in parts)} messages, which take turns"
     readers = [channel for channel, source in rig.channels.items() if source.topic == name] if rig is not None else []
-    cures = tuple(tuple(Edit(f"channels.{channel}.topic", part.name) for channel in readers) for part in parts)
-    if not used or not readers:
+    if not readers:
         return Finding("note", name, what, evidence, "none: no channel reads it", 0.5)
-    return Finding("fatal", name, what, evidence, ", ".join(map(str, cures[0])), 1.0, cures)
+    cures = (tuple(Edit(f"channels.{channel}.topic", part.name) for channel in readers) for part in parts)
+    return fixable("fatal", name, what, evidence, *cures)
 
 
 def _alternating(topic: Recorded, rig: Rig) -> float:
     """Return the largest share of samples, over a topic's channels, closer to an earlier sample than to the last."""
     shares = [0.0]
     for name, source in rig.channels.items():
-        if source.topic == topic.topic.name and {*source.fields} <= {*topic.fields}:
-            values = topic.values[:, [topic.fields.index(field) for field in source.fields]]
+        if source.topic == topic.topic.name and topic.has(source):
+            values = topic.columns(source)
             least = _LARGE_STEP if name == "position" else _LARGE
             shares.append(_turns(values[np.isfinite(values).all(axis=1)], least))
     return max(shares)
@@ -79,7 +77,7 @@ def _alternating(topic: Recorded, rig: Rig) -> float:
 def _turns(values: Float[np.ndarray, "n k"], least: float) -> float:
     if len(values) < 20 * _BEFORE:
         return 0.0
-    last = np.linalg.norm(values[_BEFORE:] - values[_BEFORE - 1 : -1], axis=1)
-    earlier = [np.linalg.norm(values[_BEFORE:] - values[_BEFORE - k : -k], axis=1) for k in range(2, _BEFORE + 1)]
+    away = [np.linalg.norm(values[_BEFORE:] - values[_BEFORE - k : -k], axis=1) for k in range(1, _BEFORE + 1)]
+    last, earlier = away[0], np.min(away[1:], axis=0)
     spread = float(np.linalg.norm(np.subtract(*np.percentile(values, (95, 5), axis=0))))
-    return float(np.mean((last > least * spread) & (np.min(earlier, axis=0) < _NEARER * last)))
+    return float(np.mean((last > least * spread) & (earlier < _NEARER * last)))

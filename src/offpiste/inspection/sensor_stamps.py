@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 
 from offpiste.core.errors import OffpisteError
+from offpiste.inspection.clocks import ORIGINS
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.sensor_samples import Grey
-from offpiste.inspection.several_clocks import ORIGINS
 from offpiste.inspection.stamps import check_spans, check_stamps
 from offpiste.logs.clock_drift import clock_difference
 from offpiste.logs.log import Log

@@ -14,7 +14,7 @@ from offpiste.inspection.field_groups import field_groups
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import fit_lags, sampled
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.inspection.signals import field_in_words
+from offpiste.inspection.samples import field_in_words
 from offpiste.inspection.steering_fit import moving_rows
 from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading

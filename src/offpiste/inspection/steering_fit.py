@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from scipy.special import ndtr, stdtrit
 
 from offpiste.inspection.driven_path import STEP, TURNING, DrivenPath
-from offpiste.inspection.frozen import while_held
+from offpiste.inspection.held import while_held
 from offpiste.inspection.lags import LAGS, SURE, LagFit, fit_lags, lagged
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive

@@ -1,0 +1,480 @@
+"""Defects of channels as recorded: values that are not finite, dead fields, wraps, spikes, and other ranges.
+
+`_DEFECTS` lists the defects of single signals, and `_FIXES` the explanations of values outside a channel's range.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import msgspec
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import median_filter
+
+from offpiste.core.channels import all_actuators, all_controls, control_of
+from offpiste.core.errors import RigError
+from offpiste.inspection.findings import EXCHANGED, Cure, Finding, Severity, fixable, of_one_cause
+from offpiste.inspection.recorded_log import Recorded
+from offpiste.inspection.signal_faults import (
+    COUNTED_DEGREES,
+    MAX_SPIKES,
+    PERIODS,
+    are_off_the_earth,
+    degrees_each,
+    find_spikes,
+    find_wrap,
+    is_clock,
+    unrolled,
+)
+from offpiste.inspection.usual_ranges import (
+    full_scale,
+    is_signed,
+    rests_high,
+    scaled_to_unit,
+    steering_middle,
+    whole_range,
+)
+from offpiste.logs.channel import LARGEST, between_samples, convert, largest, largest_recorded, unwrapped
+from offpiste.rig.channels import GEOGRAPHIC, POSE, ChannelSource, known_channels, unit_factor
+from offpiste.rig.edits import Edit, absent, rescaled, rounded, toml_value
+from offpiste.rig.rig import Rig
+
+BRAKES: Final = ("brake", "brake_pressure")
+"""Channels that are constant in a log without braking."""
+_AT_AN_END: Final = 0.15
+"""Maximum distance of an unused brake from 0 or 1; some rest slightly above 0."""
+_MOST_LEFT: Final = 0.5
+"""Maximum share of spikes that may remain within the proposed range of valid values."""
+_ALTERNATIVES: Final = {"percent": 0.01, "permille": 0.001, "deg": np.pi / 180, "rev/min": 0.001}
+"""Units in which controls and actuators are often recorded."""
+_CLIPPED, _CUT = 0.2, 0.05
+"""Maximum shares of samples that a rig may clip, for pedals (at rest) and for controls with two ends."""
+_BEYOND: Final = 0.025
+"""Minimum excess of a clipped two-ended control, as a share of its range."""
+_LARGER: Final = 2.0
+"""Minimum ratio of a step into invalid values to the 99.5th percentile of the steps between valid ones."""
+_DROPPED: Final = 0.005
+"""Minimum reported share of measurements dropped by `valid`."""
+_TOO_FAR: Final = (
+    "no road wheel turns so far: if it is the steering wheel, channels.{}.scale is 1 over the steering's ratio"
+)
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Time series of one scalar.
+
+    Attributes:
+        where: name shown to users.
+        channel: channel that reads the signal; "" if none does.
+        raw: recorded values, unwrapped as defined in the rig.
+        values: values converted by the rig, without invalid ones; equal to `raw` without a rig.
+        largest: maximum recorded magnitude of a measurement.
+        beside: usual minimum and maximum of the channel's other components, as one valid range applies to all.
+    """
+
+    where: str
+    channel: str
+    raw: Float[np.ndarray, " n"]
+    values: Float[np.ndarray, " m"]
+    largest: float = LARGEST
+    beside: tuple[float, float] = (np.inf, -np.inf)
+
+    @property
+    def known(self) -> Float[np.ndarray, " k"]:
+        """Return the recorded values that may be measurements."""
+        return self.raw[np.abs(self.raw) <= self.largest]
+
+    def fixed(self, what: str, evidence: str, share: float, entry: str, value: object) -> Finding:
+        """Return a warning fixed by one entry of the channel; a note with advice if no channel reads the signal."""
+        if not self.channel:
+            advice = f"where a channel reads it: {entry} = {toml_value(value)}"
+            return Finding("note", self.where, what, evidence, advice, share)
+        return fixable(
+            "warning", self.where, what, evidence, (Edit(f"channels.{self.channel}.{entry}", value),), score=share
+        )
+
+
+def field_in_words(topic: str, field: str) -> str:
+    """Return the displayed name of a field: `controls[1]`, `/odom pose.position.x`, or the column name of a table."""
+    if not topic:
+        return field
+    return f"{topic}[{field}]" if field.isdigit() else f"{topic} {field}"
+
+
+def other_signals(recorded: Mapping[str, Recorded], rig: Rig | None) -> list[Signal]:
+    """Return all recorded fields that no channel of the rig reads."""
+    read = {(source.topic, field) for source in (rig.channels.values() if rig else ()) for field in source.fields}
+    return [
+        Signal(field_in_words(topic, field), "", column, column)
+        for topic, r in recorded.items()
+        for field, column in zip(r.fields, r.values.T, strict=True)
+        if (topic, field) not in read and not is_clock(column)
+    ]
+
+
+def channel_signals(recorded: Mapping[str, Recorded], rig: Rig) -> list[Signal]:
+    """Return all components of the rig's channels after conversion."""
+    signals = []
+    for name, source, columns in _read(recorded, rig):
+        converted = _valid(convert(name, source, columns, rig.vehicle), source)
+        raw = columns if source.wrap is None else unwrapped(columns, source.wrap)
+        for i, field in enumerate(source.fields[: converted.shape[1]]):
+            where = f"{name} ({field_in_words(source.topic, field)})"
+            most = largest_recorded(name, source, i, rig.vehicle)
+            beside = _usual(np.delete(converted, i, axis=1))
+            signals.append(Signal(where, name, raw[:, i], converted[:, i], most, beside))
+    return signals
+
+
+def check_signals(signals: Sequence[Signal], rig: Rig | None) -> list[Finding]:
+    """Return findings on each signal, as notes if no channel reads it.
+
+    Args:
+        rig: rig whose channels read the signals.
+    """
+    findings = _other_than_degrees(signals, rig)
+    counted = {where for finding in findings for where in finding.where.split(", ")}
+    findings += of_one_cause([f for s in signals if s.where not in counted and (f := _not_finite(s)) is not None])
+    # Discrete controls are constant and jump.
+    varying = [s for s in signals if (control := control_of(s.channel)) is None or not control.discrete]
+    varying = [signal for signal in varying if len(signal.known) >= 10]
+    dead = [signal.where for signal in varying if not signal.channel and np.ptp(signal.known) == 0]
+    for signal in varying:
+        defects = (defect(signal, rig) for defect in _DEFECTS)
+        findings += [found for found in [next(filter(None, defects), None)] if found is not None]
+    if dead:
+        evidence = f"{len(dead)}: {', '.join(dead[:12])}{', ...' if len(dead) > 12 else ''}"
+        findings.append(Finding("note", "fields", "never change", evidence, "do not feed channels from them"))
+    return findings
+
+
+def _not_finite(signal: Signal) -> Finding | None:
+    bad, empty = ~(np.abs(signal.raw) <= signal.largest), between_samples(np.isnan(signal.raw))
+    at, count = np.flatnonzero(bad & ~empty), int((~empty).sum())
+    if not len(at):
+        return None
+    share = len(at) / count
+    how = "nothing where the rest is enough: those samples are dropped on reading"
+    if not signal.channel:
+        how = "nothing: no channel reads it"
+    elif share >= 0.5:
+        how = f'declare it absent: absent = ["{signal.channel}"]'
+        if signal.channel in (*POSE, "steer"):
+            how = "take another field; where the rest comes often enough, nothing: those samples are dropped on reading"
+    evidence = f"{len(at)} of {count} samples ({share:.1%}), the first {at[0]}, the last {at[-1]}"
+    severity: Severity = "warning" if signal.channel else "note"
+    return Finding(severity, signal.where, "values are NaN, infinite or beyond any measurement", evidence, how, share)
+
+
+def _never_changing(signal: Signal, rig: Rig | None) -> Finding | None:
+    """Report a constant scalar channel; as a note if it is a brake, which other logs of the vehicle may use."""
+    name = signal.channel
+    if np.ptp(signal.known) > 0 or not name or known_channels()[name][1] != (1,) or name == "yaw":
+        return None
+    evidence = f"{signal.raw[np.isfinite(signal.raw)][0]:g} in all {len(signal.raw)} samples"
+    if rig is None or not is_untouched(name, signal.values):
+        cure = absent(name, rig) if rig else ()
+        return fixable("warning", signal.where, "never changes", evidence, cure, advice="declare it absent")
+    if signal.values[0] <= 0.5:
+        how = "nothing where nobody braked: the channel stays"
+        return Finding("note", signal.where, "is never pressed", evidence, how)
+    turned = ", ".join(map(str, scaled_to_unit(name, rig.channels[name], (0.0, 1.0), turned=True)))
+    how = f"if nobody braked, it is the wrong way round: {turned}"
+    return Finding("note", signal.where, "stays where it is fully pressed", evidence, how)
+
+
+def _wrapped(signal: Signal, _: Rig | None) -> Finding | None:
+    raw = signal.known
+    if (wrap := find_wrap(raw)) is None:
+        return None
+    above = raw > wrap.above
+    evidence = f"{above.sum()} of {len(raw)} samples ({above.mean():.1%}) lie between {raw[above].min():g} and "
+    evidence += f"{raw.max():g}, the others below {raw[~above].max():g}"
+    what, entry = "wraps around like a 16-bit counter below zero", {"above": wrap.above, "period": wrap.period}
+    return signal.fixed(what, evidence, float(above.mean()), "wrap", entry)
+
+
+def _spiked(signal: Signal, _: Rig | None) -> Finding | None:
+    values, limit = unrolled(signal.values[np.isfinite(signal.values)]), limits(signal.channel)
+    spikes = find_spikes(values)
+    if not spikes.any():
+        return None
+    usual, at = values[~spikes], values[spikes]
+    # A quick press stays within the pedal's range, and a bump within twice the usual span of rates.
+    floor, ceiling = float(usual.min()), float(usual.max())
+    if limit is None:
+        low, high = _extended(usual, at)
+        room = ceiling - floor
+    else:  # values inside may be real
+        room = (limit[1] - limit[0]) / 4
+        low, high = limit[0] - room / 5, limit[1] + room / 5
+        floor, ceiling = min(floor, limit[0]), max(ceiling, limit[1])
+    if at.max() < ceiling + room and at.min() > floor - room:
+        return None
+    low, high = min(low, signal.beside[0]), max(high, signal.beside[1])
+    evidence = f"{spikes.sum()} of {len(values)} samples, between {at.min():.4g} and {at.max():.4g} where the others "
+    evidence += f"lie between {usual.min():.4g} and {usual.max():.4g}"
+    inside = int(((at >= low) & (at <= high)).sum())
+    if inside > _MOST_LEFT * len(at) or np.mean((usual < low) | (usual > high)) > MAX_SPIKES:
+        how = "no range of valid values parts them from the others: take another field"
+        severity: Severity = "warning" if signal.channel else "note"
+        return Finding(severity, signal.where, "isolated spikes", evidence, how, float(spikes.mean()))
+    if inside:
+        evidence += f"; a range of valid values removes all but {inside}"
+    valid = [rounded(low), rounded(high)]
+    return signal.fixed("isolated spikes", evidence, float(spikes.mean()), "valid", valid)
+
+
+_DEFECTS: Final = (_never_changing, _wrapped, _spiked)
+"""Checks of a signal; the first that reports a defect ends them."""
+
+
+def _usual(others: Float[np.ndarray, "n k"]) -> tuple[float, float]:
+    """Return the usual range of components without spikes, extended by half its span; (inf, -inf) for no components."""
+    finite = [column[np.isfinite(column)] for column in others.T if np.isfinite(column).any()]
+    ends = [np.percentile(median_filter(column, 7, mode="mirror"), (0.1, 99.9)).tolist() for column in finite]
+    least = min((low - (high - low) / 2 for low, high in ends), default=np.inf)
+    return least, max((high + (high - low) / 2 for low, high in ends), default=-np.inf)
+
+
+def _extended(usual: Float[np.ndarray, " n"], spikes: Float[np.ndarray, " k"]) -> tuple[float, float]:
+    """Return the usual range extended by up to half its span on both sides, excluding spikes."""
+    low, high = float(usual.min()), float(usual.max())
+    room = (high - low) / 2
+    top = high + min([room, *(spikes[spikes > high] - high) / 2])
+    bottom = low - min([room, *(low - spikes[spikes < low]) / 2])
+    return (0.0 if bottom < 0 <= low else bottom), top
+
+
+def _other_than_degrees(signals: Sequence[Signal], rig: Rig | None) -> list[Finding]:
+    """Return findings on latitude and longitude read as degrees but recorded in another unit or swapped."""
+    source = rig.channels.get("position") if rig else None
+    both = [signal for signal in signals if signal.channel == "position"][:2]
+    if source is None or source.unit != GEOGRAPHIC or source.scale != 1 or len(both) < 2:
+        return []
+    raw = [signal.raw for signal in both]
+    evidence = f"around ({np.nanmedian(raw[0]):.7g}, {np.nanmedian(raw[1]):.7g}), read in degrees"
+    x, y, *height = source.fields
+    if (each := degrees_each(*raw)) != 1:
+        cure = (Edit("channels.position.scale", each), Edit("channels.position.fields", [x, y]))
+        what = "is counted in ten-millionths of a degree" if each == COUNTED_DEGREES else "is in radians"
+        how = f"{', '.join(map(str, cure))}: a height would be scaled, too"
+        return [Finding("fatal", signal.where, what, evidence, how, 1.0, (cure,)) for signal in both]
+    if not are_off_the_earth(*raw):
+        return []
+    if not are_off_the_earth(*reversed(raw)):
+        swap = Edit("channels.position.fields", [y, x, *height])
+        return [fixable("fatal", "position", EXCHANGED, evidence, (swap,))]
+    how = "convert to degrees: of minutes, 60 are one; 4724.36 may be 47 degrees, 24.36 minutes; in .vbo west is +"
+    return [Finding("fatal", ", ".join(s.where for s in both), "is not in degrees", evidence, how, 1.0)]
+
+
+def is_untouched(name: str, values: Float[np.ndarray, " n"]) -> bool:
+    """Return whether a channel is a brake that stays at an end of its range, as without braking."""
+    if name not in BRAKES or not len(values) or np.ptp(values) > 0:
+        return False
+    return bool(min(abs(values[0]), abs(values[0] - 1)) <= _AT_AN_END)
+
+
+def limits(channel: str) -> tuple[float, float] | None:
+    """Return the range of a control or actuator channel in offpiste's units, or None."""
+    actuators = {a.channel: (a.low, a.high) for a in all_actuators() if a.low is not None and a.high is not None}
+    return (actuators | {control.name: (control.low, control.high) for control in all_controls()}).get(channel)
+
+
+@dataclass(frozen=True)
+class _Overrun:
+    """Scalar channel with values outside its range: its source, recorded and unclipped values, and range."""
+
+    name: str
+    rig: Rig
+    raw: Float[np.ndarray, "n 1"]
+    values: Float[np.ndarray, " m"]
+    low: float
+    high: float
+
+    @property
+    def source(self) -> ChannelSource:
+        """Return the source of the channel."""
+        return self.rig.channels[self.name]
+
+    @property
+    def slack(self) -> float:
+        """Return the excess that is accepted on both sides."""
+        return (0.1 if self.low == 0 or not self.source.clip else _BEYOND) * (self.high - self.low)
+
+    def edits(self, **entries: float) -> Cure:
+        """Return the edits of entries of the channel."""
+        return tuple(Edit(f"channels.{self.name}.{key}", rounded(value)) for key, value in entries.items())
+
+
+def check_ranges(recorded: Mapping[str, Recorded], rig: Rig) -> list[Finding]:
+    """Return findings on controls and actuators that exceed their limits or are clipped by the rig."""
+    findings = []
+    for name, source, raw in _read(recorded, rig):
+        limit, values = limits(name), _valid(_measured(name, rig, raw), source)
+        if limit is None or source.turns or len(values) < 20:
+            continue
+        one = _Overrun(name, rig, raw, values[:, 0], *limit)
+        # A released pedal may be far below 0 before clipping.
+        below = one.values < (one.low - one.slack if one.low < 0 or not source.clip else -1.0)
+        outside = float(np.mean(below | (one.values > one.high + one.slack)))
+        if outside <= (0.005 if not source.clip else _CLIPPED if one.low == 0 else _CUT):
+            continue
+        first, last = np.percentile(one.values, (0.5, 99.5))
+        what = "leaves its range" if not source.clip else "is clipped much of the time"
+        evidence = f"{outside:.0%} of the samples are outside of {one.low:g} to {one.high:g}; "
+        evidence += f"99 % lie between {first:.3g} and {last:.3g}"
+        cure = next(filter(None, (fix(one) for fix in _FIXES)), ())
+        findings.append(fixable("warning", name, what, evidence, cure, score=outside, advice=_TOO_FAR.format(name)))
+    return findings
+
+
+def _at_rest(one: _Overrun) -> Cure:
+    """Return the edit that shifts an unused, constant brake to zero; its scale is unknown."""
+    if one.name not in BRAKES or np.ptp(one.values) > 0:
+        return ()
+    rest = float(one.values[0]) / (one.source.sign * unit_factor(one.name, one.source.unit))
+    return one.edits(offset=one.source.offset - rest)
+
+
+def _permanently_negative(one: _Overrun) -> Cure:
+    """Return the edit that unwraps a counter that stays below zero, if the result fits the range."""
+    low, high = np.percentile(one.raw[np.isfinite(one.raw)], (0.5, 99.5))
+    for period in PERIODS:
+        if one.source.wrap is None and 0.9 * period < low <= high <= period:
+            values = _unclipped(one.name, one.rig, np.array([[low], [high]]) - period)
+            if (values >= one.low - one.slack).all() and (values <= one.high + one.slack).all():
+                return (Edit(f"channels.{one.name}.wrap", {"above": period / 2, "period": period}),)
+    return ()
+
+
+def _whole_range(one: _Overrun) -> Cure:
+    """Return the edits for a common raw range of a pedal without a unit, or of a steering with a positive centre."""
+    source = one.source
+    if one.low < 0:
+        around = steering_middle(one.values, named=False) if not source.unit else None
+        if around is None:
+            return ()
+        middle, reach, _ = around
+        return one.edits(scale=source.scale / reach, offset=(source.offset - source.sign * middle) / reach)
+    span = whole_range(one.values)
+    if span is None or span[1] in (1.0, 100.0, 1000.0):  # the last two have a unit
+        return ()
+    return scaled_to_unit(one.name, source, span, turned=bool(span[0] < 0 and rests_high(one.values)))
+
+
+def _both_ways(one: _Overrun) -> Cure:
+    """Return the edits for a signed throttle; its negative part becomes the brake if no brake channel exists."""
+    source, rig = one.source, one.rig
+    if one.name != "throttle" or source.clip or not is_signed(one.values):
+        return ()
+    most = float(np.abs(np.percentile(one.values, (0.5, 99.5))).max())
+    factor = 1.0 if most <= one.high + one.slack else 1 / (full_scale(most) or most)
+    scaled = {key: rounded(factor * getattr(source, key)) for key in ("scale", "offset")}
+    cure = [Edit(f"channels.throttle.{key}", value) for key, value in scaled.items() if value != getattr(source, key)]
+    cure.append(Edit("channels.throttle.clip", [0.0, 1.0]))
+    if "brake" not in rig.channels:
+        usual = msgspec.to_builtins(ChannelSource(source.fields))
+        brake = {**msgspec.to_builtins(source), **scaled, "sign": -source.sign, "clip": [0.0, 1.0]}
+        stated = {key: value for key, value in brake.items() if key in ("topic", "fields") or value != usual[key]}
+        cure.append(Edit("channels.brake", stated))
+        if "brake" in rig.absent:
+            cure.append(Edit("absent", [channel for channel in rig.absent if channel != "brake"]))
+    return tuple(cure)
+
+
+def _rescaled(one: _Overrun) -> Cure:
+    """Return the edits that convert the observed range to the channel's: another unit, or scale and offset."""
+    name, source, (first, last) = one.name, one.source, np.percentile(one.values, (0.5, 99.5)).tolist()
+    extreme = max(abs(first), abs(last))
+    for unit, factor in _ALTERNATIVES.items():
+        if 0.3 * one.high < extreme * factor <= 1.2 * one.high and (one.low < 0 or first >= -0.1 * extreme):
+            if source.unit or source.scale != 1.0:
+                return rescaled(name, source, factor)
+            try:
+                unit_factor(name, unit)
+            except RigError:
+                continue
+            return (Edit(f"channels.{name}.unit", unit),)
+    if one.low < 0:  # for an angle, 1 is not full lock
+        return () if known_channels()[name][0] == "rad" else rescaled(name, source, one.high / extreme)
+    if last < 0.1 * extreme and extreme <= 1.2 * one.high:
+        return (Edit(f"channels.{name}.sign", -source.sign),)
+    span = last - first
+    if not span > 0:
+        return absent(name, one.rig)
+    # Map the observed range to 0..1: value = sign * (raw * scale + offset) * unit.
+    start = source.sign * first / unit_factor(name, source.unit)
+    return one.edits(scale=source.scale / span, offset=(source.offset - start) / span)
+
+
+_FIXES: Final = (_at_rest, _permanently_negative, _whole_range, _both_ways, _rescaled)
+"""Explanations of values outside a channel's range, as edits; the first that applies is taken."""
+
+
+def check_valid(recorded: Mapping[str, Recorded], rig: Rig) -> list[Finding]:
+    """Return a finding for each channel whose `valid` interval drops values continuous with their neighbours."""
+    findings = []
+    for name, source, columns in _read(recorded, rig):
+        if source.valid is None:
+            continue
+        values = _measured(name, rig, columns)
+        outside = np.asarray(((values < source.valid[0]) | (values > source.valid[1])).any(axis=1))
+        measured = _continuing(values, outside)
+        if measured.sum() <= _DROPPED * len(values):
+            if 2 * outside.sum() > len(outside):  # logs may mark unknown values, but rarely so often
+                evidence = f"{outside.sum()} of {len(outside)} samples ({outside.mean():.1%}); "
+                evidence += "rows without them are not complete"
+                what, how = "valid drops most samples", "widen or remove `valid`"
+                findings.append(Finding("note", name, what, evidence, how, float(outside.mean())))
+            continue
+        reached = values[measured | ~outside]
+        # A control's steps may hide part of its range.
+        ends = np.append(reached.ravel(), limits(name) or ())
+        room = np.ptp(ends) / 20
+        evidence = f"{measured.sum()} of {len(values)} samples ({measured.mean():.1%}), between "
+        evidence += f"{reached.min():.3g} and {reached.max():.3g}, lie outside of {source.valid[0]:g} to "
+        evidence += f"{source.valid[1]:g} and continue their neighbours"
+        edit = Edit(f"channels.{name}.valid", [rounded(ends.min() - room), rounded(ends.max() + room)])
+        what, share = "valid drops measurements", float(measured.mean())
+        findings.append(fixable("warning", name, what, evidence, (edit,), score=share))
+    return findings
+
+
+def _continuing(values: Float[np.ndarray, "n k"], outside: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Return out-of-range samples in runs without larger steps into, within or out of them than valid samples have."""
+    result, steps = np.zeros(len(values), bool), np.abs(np.diff(values, axis=0)).max(axis=1)
+    inside = steps[~outside[1:] & ~outside[:-1]]
+    if not outside.any() or not len(inside):
+        return result
+    large = steps > _LARGER * float(np.percentile(inside, 99.5))
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], outside, [False]))))
+    for first, end in edges.reshape(-1, 2):
+        # Step i leads from sample i to i + 1: from the sample before the run to the one after it.
+        result[first:end] = not large[max(first - 1, 0) : end].any()
+    return result
+
+
+def _read(recorded: Mapping[str, Recorded], rig: Rig) -> list[tuple[str, ChannelSource, Float[np.ndarray, "n c"]]]:
+    """Return each channel of the rig with its source and recorded columns, if the log has them."""
+    there = [(name, s, r) for name, s in rig.channels.items() if (r := recorded.get(s.topic)) is not None]
+    return [(name, source, r.columns(source)) for name, source, r in there if r.has(source)]
+
+
+def _unclipped(name: str, rig: Rig, raw: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n c"]:
+    return convert(name, msgspec.structs.replace(rig.channels[name], clip=None), raw, rig.vehicle)
+
+
+def _measured(name: str, rig: Rig, raw: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "m c"]:
+    """Return the converted values that may be measurements, before clipping."""
+    values = _unclipped(name, rig, raw)
+    return values[(np.abs(values) <= largest(name)).all(axis=1)]
+
+
+def _valid(values: Float[np.ndarray, "n k"], source: ChannelSource) -> Float[np.ndarray, "m k"]:
+    if source.valid is None:
+        return values
+    return values[((values >= source.valid[0]) & (values <= source.valid[1])).all(axis=1)]
