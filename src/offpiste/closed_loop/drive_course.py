@@ -21,11 +21,9 @@ from offpiste.core.conventions import DT
 from offpiste.core.errors import OffpisteError
 from offpiste.core.files import check_folder, remove_partials, unfinished, write_text, write_whole
 from offpiste.core.progress import Track, track
-from offpiste.perception.camera import make_pinhole_camera
 from offpiste.planning.caution import caution_of
 from offpiste.planning.course import FASTEST
-from offpiste.rig.rig import Rig, load_rig
-from offpiste.runtime.perception import SensorSetup
+from offpiste.rig.rig import load_rig
 from offpiste.runtime.planner import Planner
 from offpiste.runtime.runtime import Runtime
 from offpiste.runtime.settings import RuntimeSettings
@@ -115,8 +113,10 @@ def drive_course(
         logger.warning(f"{planner.folder} was trained on another vehicle than the proving ground's: {apart}")
     ground = partial(read_grid, world.properties, world.origin, world.resolution) if planner.knows_ground else None
     fault = Fault(settings.fault, settings.fault_start, settings.fault_when)
+    sensors = planner.sensor_setup(cameras_of(suite, rig), lidars_of(suite, rig))
+    sensors = replace(sensors, extract=sensors.extract and fault.extractor(sensors.extract))
     runtime = Runtime(
-        planner.dynamics, sensor_setup(planner, suite, rig, fault), rig.wheel_positions(), chosen.course,
+        planner.dynamics, sensors, rig.wheel_positions(), chosen.course,
         replace(settings.runtime, remember=max(settings.seconds, settings.runtime.remember)),
         ground=ground, seed=settings.world.seed, spread=planner.spread,
     )  # fmt: skip
@@ -174,16 +174,6 @@ def check_settings(settings: CourseDriveSettings) -> None:
         how = f"give --fault-start of 0 or more, before the drive's end at {seconds:g} s"
         raise OffpisteError(f"invalid start of a fault at {start:g} s", how=how)
     COURSE_KINDS[settings.course.kind], sensor_suite(settings.sensors)  # raise for unknown names
-
-
-def sensor_setup(planner: Planner, suite: SensorSuite, rig: Rig, fault: Fault | None = None) -> SensorSetup:
-    """Return the sensors of the proving ground's vehicle for a planner, with a fault of the features."""
-    lidars = lidars_of(suite, rig)
-    if planner.extractor is None:
-        return SensorSetup(lidars)
-    patch, extract = planner.extractor.patch, planner.extractor.extract
-    cameras = {name: make_pinhole_camera(camera, patch) for name, camera in cameras_of(suite, rig).items()}
-    return SensorSetup(lidars, cameras, fault.extractor(extract) if fault else extract)
 
 
 def _result(

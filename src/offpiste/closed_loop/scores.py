@@ -119,7 +119,7 @@ def interventions(controls: Sequence[Controls], happened: set[str]) -> int:
 
     The stop of a stuck vehicle counts as the event only.
     """
-    drives = [_drives(one) or one.why == STUCK for one in controls]
+    drives = [one.drives or one.why == STUCK for one in controls]
     return sum(before and not now for before, now in pairwise(drives)) + len(happened)
 
 
@@ -128,7 +128,7 @@ def is_stuck(trace: Trace, controls: Sequence[Controls], happened: set[str]) -> 
 
     A drive with another reason is not stuck: other events, or a stop for missing inputs.
     """
-    stopped = bool(controls) and not _drives(controls[-1]) and any(_drives(one) for one in controls)
+    stopped = bool(controls) and not controls[-1].drives and any(one.drives for one in controls)
     if happened or stopped:
         return STUCK in happened
     last = trace.progress[-round(WITHOUT_PROGRESS / DT) - 1 :]
@@ -137,11 +137,7 @@ def is_stuck(trace: Trace, controls: Sequence[Controls], happened: set[str]) -> 
 
 def backed_out(controls: Sequence[Controls]) -> bool:
     """Return whether the vehicle was driven in reverse."""
-    return any(_drives(one) and one.gear < 0 for one in controls)
-
-
-def _drives(controls: Controls) -> bool:
-    return controls.mode in ("driving", "degraded")
+    return any(one.drives and one.gear < 0 for one in controls)
 
 
 def firm_way(trace: Trace, course: Course, firm: int | None) -> bool | None:

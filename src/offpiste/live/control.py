@@ -9,7 +9,7 @@ import numpy as np
 
 from offpiste.core.conventions import DT
 from offpiste.live.command_messages import Command, CommandMessages, joy_message
-from offpiste.live.gate import Checked, Gate
+from offpiste.live.gate import Gate
 from offpiste.live.part import NewestCourse, Part, TrackFeed, freeze_loaded_objects
 from offpiste.live.reception import Pressed, switch_of
 from offpiste.live.ring import packed, plan_from
@@ -39,25 +39,18 @@ class SteadyAges:
 
     def __init__(self) -> None:
         self._seen: dict[str, tuple[float, float]] = {}
-        self._starts: deque[tuple[float, float]] = deque(maxlen=32)
-
-    def planned(self, plan: TimedPlan, now: float, steady: float) -> None:
-        """Add a plan; both times are now, by the robot's and by the monotonic clock [s]."""
-        self._starts.append((plan.start, steady + plan.start - now))
 
     def ages(self, came: float, state: MapState, acting: TimedPlan | None, steady: float) -> Ages:
-        """Return the ages now [s], with the arrival of the last reading [s] and the followed plan."""
-        start = next((at for start, at in self._starts if acting is not None and start == acting.start), -np.inf)
-        scan, image = (self._unchanged(name, getattr(state, name), steady) for name in ("scan_time", "image_time"))
-        return Ages(state=steady - came, scan=scan, image=image, plan=steady - start)
+        """Return the ages now [s], with the arrival of the last reading [s] and the followed plan.
 
-    def _unchanged(self, name: str, value: float, steady: float) -> float:
-        """Return the time for which a stamp has been constant; minus infinity for an invalid one."""
-        if not np.isfinite(value):
-            return -np.inf
-        if self._seen.get(name, (np.nan, 0.0))[0] != value:
-            self._seen[name] = value, steady
-        return steady - self._seen[name][1]
+        Those of map and plan are the times for which their stamps have been constant, minus infinity for invalid ones.
+        """
+        start = -np.inf if acting is None else acting.start
+        for name, stamp in {"scan": state.scan_time, "image": state.image_time, "plan": start}.items():
+            if self._seen.get(name, (np.nan, 0.0))[0] != stamp:
+                self._seen[name] = stamp, steady
+        constant = {name: steady - at if np.isfinite(stamp) else -np.inf for name, (stamp, at) in self._seen.items()}
+        return Ages(state=steady - came, **constant)
 
 
 class Controller:
@@ -154,19 +147,17 @@ class Controller:
         if not drive:  # another driver need not complete our stops
             follower.stopping = False
         follower.driver = Given() if drive else self._feed.given
-        passed: list[Checked] = []
 
         def applied(controls: Controls) -> np.ndarray:
-            stopping = controls.mode in ("stopping", "stopped")
             command = controls.command.copy()
-            if stopping and acting is None:  # without a plan, keep the steering: straight ahead would leave a bend
+            if acting is None:  # without a plan, keep the steering: straight ahead would leave a bend
                 command[2] = self._gate.steer
-            passed.append(self._gate.check(command, follower.speed, time.monotonic(), stopping=stopping))
-            return passed[-1].control
+            stopping = not controls.drives
+            return self._gate.check(command, follower.speed, time.monotonic(), stopping=stopping).control
 
         controls = follower.follow(now, decision, applied)
         del follower.events[:-1]
-        control, moving = passed[-1].control, controls.mode in ("driving", "degraded") and not passed[-1].why
+        control, moving = self._gate.checked.control, controls.drives and not self._gate.checked.why
         followed = next((p for p in reversed(self._predictions) if p.time <= now), None) if moving else None
         if self._send is not None:
             self._send(Command(now, control, controls.gear, followed))
@@ -219,7 +210,6 @@ class Controller:
                 self.part.dropped["plans of another time, or from before the pose jumped"] += 1
             elif latest is None or timed.start > latest.start:
                 follower.schedule.add(timed)
-                self._steady.planned(timed, now, time.monotonic())
                 self._predictions.append(prediction)
 
 

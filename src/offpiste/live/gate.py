@@ -28,6 +28,9 @@ class Gate:
         enable: the dead man's switch; None for none, as in shadow mode.
         stop: brake of a stop [0..1].
         last: throttle, brake, steer last sent by a previous process, from which rates count.
+
+    Attributes:
+        checked: the last checked command.
     """
 
     def __init__(
@@ -37,12 +40,12 @@ class Gate:
         self._pressed: bool | None = False
         self._pressed_at = self._other_at = self._heard_at = self._second_at = -np.inf
         self._age, self._publisher = 0.0, b""
-        self._last = np.array((0.0, stop, 0.0)) if last is None else np.asarray(last, np.float64)
+        self.checked = Checked(np.array((0.0, stop, 0.0)) if last is None else np.asarray(last, np.float64))
 
     @property
     def steer(self) -> float:
         """Last steering sent [-1..1]."""
-        return float(self._last[2])
+        return float(self.checked.control[2])
 
     def enabled(self, pressed: bool | None, now: float, *, age: float = 0.0, publisher: bytes = b"") -> None:
         """Take a message of the switch.
@@ -108,12 +111,12 @@ class Gate:
         throttle = 0.0 if stopping or too_fast else min(max(throttle, 0.0), limits.throttle)
         brake = min(max(brake, 0.0), 1.0 if stopping else limits.brake)
         steer = min(max(steer, -limits.steer), limits.steer)
-        before = self._last
+        before = self.checked.control
         throttle = min(throttle, float(before[0]) + limits.throttle_rate * DT)
         if not stopping:
             turn = limits.brake_rate * DT
             brake = min(max(brake, float(before[1]) - turn), float(before[1]) + turn)
         turn = limits.steer_rate * DT
         steer = min(max(steer, float(before[2]) - turn), float(before[2]) + turn)
-        self._last = np.array((throttle, brake, steer))
-        return Checked(self._last.copy(), why)
+        self.checked = Checked(np.array((throttle, brake, steer)), why)
+        return self.checked

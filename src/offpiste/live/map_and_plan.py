@@ -11,12 +11,11 @@ from jaxtyping import Float
 from offpiste.core.errors import PerceptionError
 from offpiste.live.part import LOADING, NewestCourse, Part, TrackFeed, freeze_loaded_objects, release_freed_memory
 from offpiste.live.ring import from_fields, layers_from, pack_layers, pack_plan, packed, sensors_from
-from offpiste.live.session import Session, sensor_setup_of
+from offpiste.live.session import Session
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
 from offpiste.mapping.replay import Keyframes
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.native.threads import single_threaded_torch
-from offpiste.perception.camera import make_pinhole_camera
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.outputs import can_reverse
 from offpiste.rig.sensors import OPTICAL, CameraSource
@@ -39,7 +38,7 @@ def wait_for_sensors(part: Part, planner: Planner) -> SensorSetup | None:
     """Wait for the sensors' calibrations; return None if the drive ends first."""
     while not part.ending:
         if values := part.newest("sensors"):
-            return sensor_setup_of(planner, sensors_from(values, part.rig))
+            return planner.sensor_setup(*sensors_from(values, part.rig))
         part.beat("waits for the sensors' calibrations")
         time.sleep(0.05)
     return None
@@ -51,15 +50,11 @@ def load_kernels(part: Part, planner: Planner, device: str = "cpu") -> None:
     rig, still = part.rig, np.eye(4)
     still[2, 3] = 1.5
     lidars = {name: Lidar(name, still, entry) for name, entry in list(rig.lidars.items())[:1]}
-    setup = SensorSetup(lidars)
-    if planner.extractor is not None:
-        looks = still.copy()
-        looks[:3, :3] = OPTICAL
-        model = CameraModel(280, 210, np.array([[200.0, 0, 139.5], [0, 200.0, 104.5], [0, 0, 1]]))
-        camera = Camera("synthetic", model, looks, CameraSource("/synthetic"))
-        cameras = {"synthetic": make_pinhole_camera(camera, planner.extractor.patch)}
-        setup = SensorSetup(lidars, cameras, planner.extractor.extract)
-    runtime = replace(part.settings.runtime, device=device)
+    looks = still.copy()
+    looks[:3, :3] = OPTICAL
+    model = CameraModel(280, 210, np.array([[200.0, 0, 139.5], [0, 200.0, 104.5], [0, 0, 1]]))
+    camera = Camera("synthetic", model, looks, CameraSource("/synthetic"))
+    setup, runtime = planner.sensor_setup({"synthetic": camera}, lidars), replace(part.settings.runtime, device=device)
     warm_up(planner.dynamics, setup, rig.wheel_positions(), runtime, spread=planner.spread)
 
 

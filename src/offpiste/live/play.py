@@ -19,7 +19,7 @@ from offpiste.live.session import CLOCK
 from offpiste.logs.ros.bag_files import open_readers, reported, whole_messages
 from offpiste.logs.ros.mcap_recovery import StreamedMcap
 from offpiste.logs.ros.sensor_messages import points_from_message
-from offpiste.logs.ros.writer import make
+from offpiste.logs.ros.writer import header, make
 from offpiste.rig.channels import SECONDS_PER_UNIT
 from offpiste.rig.rig import Rig, load_rig
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
@@ -179,8 +179,7 @@ class LogPlayer:
 
 def clock_message(nanoseconds: int) -> Any:
     """Return a rosgraph_msgs/Clock."""
-    seconds, rest = divmod(nanoseconds, 10**9)
-    return make("rosgraph_msgs/Clock", clock=make("builtin_interfaces/Time", sec=seconds, nanosec=rest))
+    return make("rosgraph_msgs/Clock", clock=header(nanoseconds, "").stamp)
 
 
 def play_log(

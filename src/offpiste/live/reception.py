@@ -90,13 +90,9 @@ class Reception:
     @property
     def topics(self) -> dict[str, bool]:
         """Required topics, and whether to request their last message."""
-        found = dict.fromkeys((*self.vehicle.topics, *self.sensors.topics), False)
-        found |= dict.fromkeys(self._rig.frames.topics, True)
-        if self._request.topic:
-            found[self._request.topic] = True
-        if self._enable_topic:
-            found[self._enable_topic] = False
-        return found
+        found = dict.fromkeys((*self.vehicle.topics, *self.sensors.topics, self._enable_topic), False)
+        found |= dict.fromkeys((*self._rig.frames.topics, self._request.topic), True)
+        return {topic: kept for topic, kept in found.items() if topic}
 
     def type_of(self, topic: str) -> str:
         """Return a topic's message type if the rig states it or only one is possible; else ""."""

@@ -16,10 +16,10 @@ from offpiste.core.errors import LiveError
 from offpiste.core.files import write_text
 from offpiste.core.progress import track
 from offpiste.live.command_messages import Command
-from offpiste.live.gate import Checked, Gate
+from offpiste.live.gate import Gate
 from offpiste.live.play import RecordedDrive
 from offpiste.live.reception import Pressed, Reception, Taken
-from offpiste.live.session import LiveSettings, sensor_setup_of
+from offpiste.live.session import LiveSettings
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.logs.ros.bag_files import heard_at
 from offpiste.planning.course import Course, CourseTracker
@@ -80,21 +80,20 @@ class StepDriver:
                 self._pass_on(taken)
         if (runtime := self.runtime) is None:
             return None
-        passed: list[Checked] = []
 
         def applied(controls: Controls) -> np.ndarray:
-            stopping = controls.mode in ("stopping", "stopped")
-            passed.append(self._gate.check(controls.command, runtime.follower.speed, now, stopping=stopping))
-            return passed[-1].control
+            stopping = not controls.drives
+            return self._gate.check(controls.command, runtime.follower.speed, now, stopping=stopping).control
 
         if self._shadow:  # another driver need not complete our stops
             runtime.follower.stopping = False
             runtime.follower.driver = self._reception.vehicle.given(now)
         held = "" if self._shadow else self._gate.blocked(now)
         controls = runtime.step(now, applied, held)
-        moving = controls.mode in ("driving", "degraded") and not passed[-1].why
+        checked = self._gate.checked
+        moving = controls.drives and not checked.why
         followed = runtime.prediction_at(now) if moving else None
-        return Step(controls, Command(now, passed[-1].control, controls.gear, followed), passed[-1].why)
+        return Step(controls, Command(now, checked.control, controls.gear, followed), checked.why)
 
     def _in_order(self, messages: Iterable[tuple[str, Any]], now: float) -> list[tuple[str, Any]]:
         """Sort vehicle messages by stamp, with the position last at equal stamps, before all others."""
@@ -115,7 +114,7 @@ class StepDriver:
             if sensors is None or course is None:
                 return
             self.runtime = Runtime(
-                self._planner.dynamics, sensor_setup_of(self._planner, sensors), self._rig.wheel_positions(), course,
+                self._planner.dynamics, self._planner.sensor_setup(*sensors), self._rig.wheel_positions(), course,
                 self._settings, seed=self._seed, spread=self._planner.spread,
                 reverses=not self._shadow and can_reverse(self._rig.outputs),
             )  # fmt: skip

@@ -170,13 +170,7 @@ class VehicleMessages:
         if gyro is not None and gyro.frame == "body":
             given = self._latest("angular_velocity", time)
             return None if given is None else float(yaw_rate_from_body_rates(orientation[None], given[None])[0])
-        name = "yaw" if "yaw" in self._rig.channels else "orientation"
-        samples = self._kept.get(name)
-        if not samples:
-            return None
-        values = np.stack([value for _, value in samples])
-        turn = np.unwrap(values[:, 0] if name == "yaw" else yaw_from_quaternion(values))
-        rate = self._derivative([at for at, _ in samples], turn[:, None], time)
+        rate = self._rate("yaw" if "yaw" in self._rig.channels else "orientation", time)
         return None if rate is None else float(rate[0])
 
     def _actuator(self, actuator: Actuator, time: float) -> float:
@@ -189,21 +183,17 @@ class VehicleMessages:
         return float("nan") if rate is None else float(rate[0])
 
     def _rate(self, channel: str, time: float) -> Float[np.ndarray, " k"] | None:
-        samples = list(self._kept.get(channel, ()))
-        if not samples:
+        """Return the derivative of a channel, of the yaw for headings; None if it is unknown."""
+        samples, window = list(self._kept.get(channel, ())), self._rig.motion.window
+        if samples and self._rig.channels[channel].interpolation == "on change":  # the last value holds
+            later = time - window * np.arange(KEPT_UP)[::-1] / KEPT_UP
+            samples += [(at, samples[-1][1]) for at in later if at > samples[-1][0]]
+        if len(samples) < 4:
             return None
-        if self._rig.channels[channel].interpolation == "on change":  # the last value holds
-            window = time - self._rig.motion.window * np.arange(KEPT_UP)[::-1] / KEPT_UP
-            samples += [(at, samples[-1][1]) for at in window if at > samples[-1][0]]
-        return self._derivative([at for at, _ in samples], np.stack([value for _, value in samples]), time)
-
-    def _derivative(
-        self, time: Sequence[float], values: Float[np.ndarray, "n k"], at: float
-    ) -> Float[np.ndarray, " k"] | None:
-        if len(time) < 4:
-            return None
-        window = self._rig.motion.window
-        _, rate = local_polynomial(np.array(time), values, np.array([at]), window=window, causal=True)
+        times, values = (np.array(column) for column in zip(*samples, strict=True))
+        if channel in ("yaw", "orientation"):
+            values = np.unwrap(values[:, 0] if channel == "yaw" else yaw_from_quaternion(values))[:, None]
+        _, rate = local_polynomial(times, values, np.array([time]), window=window, causal=True)
         return rate[0] if np.isfinite(rate).all() else None
 
     def _value(self, channel: str, time: float) -> float | None:

@@ -15,10 +15,7 @@ from offpiste.core.channels import all_actuators
 from offpiste.core.errors import LiveError
 from offpiste.live.reception import CourseRequest
 from offpiste.live.ring import Ring
-from offpiste.live.robot_messages import Sensors
-from offpiste.perception.camera import make_pinhole_camera
 from offpiste.rig.rig import Rig
-from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.planner import Planner, load_planner
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
@@ -125,16 +122,6 @@ def refuse_unmeasured(planner: Planner, rig: Rig) -> None:
     if planner.extractor is not None and not rig.cameras:
         how = "add its cameras to the rig, or give a run that reads no images"
         raise LiveError(f"the model reads images, and rig '{rig.name}' has no cameras", where=planner.folder, how=how)
-
-
-def sensor_setup_of(planner: Planner, sensors: Sensors) -> SensorSetup:
-    """Return the sensors of a robot in the form of a planner's run time."""
-    cameras, lidars = sensors
-    if planner.extractor is None:
-        return SensorSetup(lidars)
-    patch = planner.extractor.patch
-    pinholes = {name: make_pinhole_camera(camera, patch) for name, camera in cameras.items()}
-    return SensorSetup(lidars, pinholes, planner.extractor.extract)
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,11 @@ class Controls:
     why: str = ""  # reason for the mode; empty in normal driving
     gear: float = 1.0  # 1 forward, -1 reverse
 
+    @property
+    def drives(self) -> bool:
+        """Whether a plan is followed."""
+        return self.mode in ("driving", "degraded")
+
 
 def decide_mode(
     ages: Ages, timeouts: Timeouts, *, map_empty: bool, finished: bool, stuck: bool = False

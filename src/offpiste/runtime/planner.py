@@ -1,5 +1,6 @@
 """A trained run as a planner, and its warm-up."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -14,7 +15,8 @@ from offpiste.core.errors import PlanningError, RunError
 from offpiste.core.shipped import PCA, PREFIX
 from offpiste.dynamics import Dynamics
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
-from offpiste.logs.measurements import Cloud, Image
+from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
+from offpiste.perception.camera import make_pinhole_camera
 from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
 from offpiste.planning.course import Course
 from offpiste.runtime.estimator import VehicleReading
@@ -48,6 +50,13 @@ class Planner:
     def knows_ground(self) -> bool:
         """True if the model reads the ground's true properties."""
         return self.extractor is None and self.dynamics.encoder is not None
+
+    def sensor_setup(self, cameras: Mapping[str, Camera], lidars: Mapping[str, Lidar]) -> SensorSetup:
+        """Return sensors for the run time; cameras only if the model reads images."""
+        if (extractor := self.extractor) is None:
+            return SensorSetup(lidars)
+        pinholes = {name: make_pinhole_camera(camera, extractor.patch) for name, camera in cameras.items()}
+        return SensorSetup(lidars, pinholes, extractor.extract)
 
 
 def load_planner(
