@@ -1,6 +1,7 @@
 """Small vehicles, windows, logs and rigs that tests of several stages share."""
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from torch import Tensor, nn
 from offpiste.core.conventions import ACTUATORS, CONTROL, DT
 from offpiste.core.state import History, RecordedTerrain, Terrain
 from offpiste.dataset.resample import Rows
+from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.dynamics import Hybrid, Vehicle
 from offpiste.dynamics.feature_encoder import Identity
 from offpiste.logs.log import Log, Samples, Topic
@@ -107,21 +110,15 @@ class Situation:
 
     def mapped(self, change: Callable[[Tensor], Tensor]) -> "Situation":
         """Return a copy with every tensor changed, e.g. to another type or to one row."""
-        other = object.__new__(Situation)
-        past, ahead = self.history.terrain, self.source.terrain
+        other, past = copy(self), self.history
 
         def changed(terrain: Terrain) -> Terrain:
             known = change(terrain.known.to(terrain.normal.dtype)) > 0.5
             return Terrain(change(terrain.normal), known, change(terrain.latent))
 
-        other.history = History(
-            change(self.history.state),
-            change(self.history.actuators),
-            change(self.history.control),
-            changed(past),
-        )
+        other.history = History(change(past.state), change(past.actuators), change(past.control), changed(past.terrain))
         other.state, other.actuators, other.controls = map(change, (self.state, self.actuators, self.controls))
-        other.source = RecordedTerrain(changed(ahead))
+        other.source = RecordedTerrain(changed(self.source.terrain))
         return other
 
     def filled(self, vehicle: Vehicle, value: float) -> "Situation":
@@ -131,7 +128,7 @@ class Situation:
             absent = torch.tensor([name not in present for name in names])
             return torch.where(absent, torch.tensor(value, dtype=values.dtype), values)
 
-        other = self.mapped(lambda tensor: tensor)
+        other = copy(self)
         other.history = replace(
             self.history,
             actuators=fill(self.history.actuators, ACTUATORS, vehicle.actuators),
@@ -142,7 +139,7 @@ class Situation:
         return other
 
 
-RIG = """
+HEAD = """
 name = "small"
 absent = ["brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]
 [vehicle]
@@ -150,6 +147,9 @@ mass = 800.0
 max_steer = 0.4
 pose_point = "the rear axle"
 wheel_positions = [[2.2, 0.6], [2.2, -0.6], [0.0, 0.6], [0.0, -0.6]]
+"""
+WITHOUT_COMMANDS = HEAD.replace("absent = [", 'absent = ["throttle", "brake", "steer", ')
+RIG = f"""{HEAD}
 [channels.position]
 topic = "odometry"
 fields = ["x", "y", "z"]
@@ -215,3 +215,10 @@ def circle_rows(rows: int, *, speed: float = 5.0, yaw_rate: float = 0.5, seed: i
         normal_causal=normal[0, :, 0].copy(),
         valid=np.ones(rows, dtype=bool),
     )
+
+
+def circle_dataset(path: Path, rows: Rows, split: str = "blocks:0.4,0.3,0.3") -> Dataset:
+    """A dataset of one drive, without features."""
+    create(path, small_rig(), parts := parse_split(split))
+    add_drive(path, "circle", rows, parts, ())
+    return open_dataset(path)

@@ -72,20 +72,13 @@ def drive_closed_loop(inputs: Path, out: Path) -> None:
     drive_course(Planner("parametric", Path("nowhere"), parametric()), wanted, out)
 
 
-IMPORTED = {
-    "simulate": "offpiste.simulation.simulate",
-    "extract": "offpiste.inspection.extract",
-    "train": "offpiste.training.train",
-    "drive": "offpiste.closed_loop.drive_course",
+WORK: dict[str, tuple[str, Callable[[Path, Path], None]]] = {
+    "simulate": ("offpiste.simulation.simulate", simulate_drive),
+    "extract": ("offpiste.inspection.extract", extract_drives),
+    "train": ("offpiste.training.train", train_model),
+    "drive": ("offpiste.closed_loop.drive_course", drive_closed_loop),
 }
-"""Module that a job imports before it is ready."""
-
-WORK: dict[str, Callable[[Path, Path], None]] = {
-    "simulate": simulate_drive,
-    "extract": extract_drives,
-    "train": train_model,
-    "drive": drive_closed_loop,
-}
+"""Jobs, and the module that each imports before it is ready."""
 
 
 def make_inputs(inputs: Path, names: Iterable[str]) -> None:
@@ -98,38 +91,30 @@ def make_inputs(inputs: Path, names: Iterable[str]) -> None:
 
 def logs_and_pca(inputs: Path) -> None:
     """Two logs of one drive, and a PCA."""
+    from feature_datasets import random_pca
     from offpiste.perception.backbones import open_backbone
-    from offpiste.perception.pca import PrincipalComponents, save_pca
+    from offpiste.perception.pca import save_pca
 
     simulate_drive(inputs, inputs)
     for name in ("one", "two"):
         shutil.copy(inputs / "drive.mcap", inputs / f"{name}.mcap")
     (inputs / "parts.txt").write_text("one train\ntwo test\n")
-    backbone, rng = open_backbone("filterbank"), np.random.default_rng(0)
-    basis = np.linalg.qr(rng.normal(size=(backbone.channels, 4)))[0].astype(np.float32)
-    mean, variance = np.zeros(backbone.channels, np.float32), np.ones(4, np.float32)
-    save_pca(
-        inputs / "pca.safetensors",
-        PrincipalComponents(mean, basis, variance, 8.0, backbone.name, backbone.fingerprint, {}),
-    )
+    save_pca(inputs / "pca.safetensors", random_pca(open_backbone("filterbank")))
 
 
 def recorded_steering(inputs: Path) -> None:
     """A dataset of random features and of a steering angle, so that there are actuators to fit."""
     from factories import RIG
-    from feature_datasets import FEATURES, rows_with_features
+    from feature_datasets import empty_dataset, rows_with_features
     from offpiste.core.conventions import DT
-    from offpiste.dataset.splits import parse_split
-    from offpiste.dataset.store import add_drive, create
+    from offpiste.dataset.store import add_drive
     from offpiste.rig.rig import parse_rig
 
     rng = np.random.default_rng(0)
     channel = '[channels.steer_angle]\ntopic = "steering"\nfields = ["angle"]\n'
     rig = parse_rig(RIG.replace('"steer_angle", ', "") + channel, where="small.toml")
     parts = {"one": "train", "two": "validation", "three": "test"}
-    (inputs / "split.txt").write_text("".join(f"{name} {part}\n" for name, part in parts.items()))
-    split = parse_split(f"drives:{inputs / 'split.txt'}")
-    create(inputs / "features.zarr", rig, split, tuple(f"pca{k}" for k in range(FEATURES)))
+    split = empty_dataset(inputs / "features.zarr", parts, rig)
     for name in parts:
         rows = rows_with_features(700, rng, speed=float(rng.uniform(3, 6)))
         recorded = rows.actuators.copy()
@@ -164,13 +149,9 @@ def start(name: str, inputs: Path, out: Path) -> subprocess.Popen[str]:
     path = os.pathsep.join((str(ROOT), str(ROOT / "tests"), *filter(None, sys.path)))
     process = subprocess.Popen(
         [sys.executable, "-m", "tests.kill", "--work", name, str(inputs), str(out)],
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": path},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-        text=True,
-    )
+        cwd=ROOT, env=os.environ | {"PYTHONPATH": path}, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        start_new_session=True, text=True,
+    )  # fmt: skip
     assert process.stdout is not None
     if process.stdout.readline() != READY:
         raise RuntimeError(process.communicate()[1])
@@ -238,20 +219,17 @@ def main() -> int:
     given = parser.parse_args()
     if given.work:
         name, inputs, out = given.work
-        import_module(IMPORTED[name])
+        module, work = WORK[name]
+        import_module(module)
         print(READY, end="", flush=True)
-        WORK[name](Path(inputs), Path(out))
+        work(Path(inputs), Path(out))
         return 0
     with tempfile.TemporaryDirectory(prefix="offpiste-kill-") as folder:
         inputs = Path(folder) / "inputs"
         inputs.mkdir()
         make_inputs(inputs, given.only)
-        wrong = [
-            line
-            for name in given.only
-            for line in kill_often(name, inputs, Path(folder) / name, given.moments, given.seed)
-        ]
-    return 1 if wrong else 0
+        wrong = [kill_often(name, inputs, Path(folder) / name, given.moments, given.seed) for name in given.only]
+    return 1 if any(wrong) else 0
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from factories import RIG
+from factories import WITHOUT_COMMANDS
 from offpiste.logs import open_log
 from offpiste.logs.ros.sensor_messages import message_from_points
 from offpiste.logs.ros.writer import McapWriter, floats, header, make, quaternion, vector
@@ -34,23 +34,18 @@ def sensor_rig(sensors: str = SENSORS) -> Rig:
 
 def sensor_rig_text(sensors: str = SENSORS) -> str:
     """Return the text of `sensor_rig`."""
-    odom = RIG.replace('topic = "odom"', 'topic = "/odom"')
-    position = ", ".join(f'"pose.pose.position.{axis}"' for axis in "xyz")
-    orientation = ", ".join(f'"pose.pose.orientation.{axis}"' for axis in "xyzw")
-    head = odom.split("[channels")[0].replace("absent = [", 'absent = ["throttle", "brake", "steer", ')
-    channels = f'[channels.position]\ntopic = "/odom"\nfields = [{position}]\n'
-    channels += f'[channels.orientation]\ntopic = "/odom"\nfields = [{orientation}]\n'
-    return head + channels + sensors
+    text = WITHOUT_COMMANDS
+    for name, axes in (("position", "xyz"), ("orientation", "xyzw")):
+        fields = ", ".join(f'"pose.pose.{name}.{axis}"' for axis in axes)
+        text += f'[channels.{name}]\ntopic = "/odom"\nfields = [{fields}]\n'
+    return text + sensors
 
 
-def odometry(seconds: float, aside: float = 0.0):
-    """Return odometry at SPEED along x."""
-    pose = make(
-        "geometry_msgs/Pose",
-        position=vector((SPEED * seconds, aside, 1), "geometry_msgs/Point"),
-        orientation=quaternion((0, 0, 0, 1)),
-    )
-    twist = make("geometry_msgs/Twist", linear=vector((SPEED, 0, 0)), angular=vector((0, 0, 0)))
+def odometry(seconds: float, aside: float = 0.0, *, x: float | None = None, speed: float = SPEED, height: float = 1.0):
+    """Return odometry of a drive along x, by default from the origin."""
+    place = vector((speed * seconds if x is None else x, aside, height), "geometry_msgs/Point")
+    pose = make("geometry_msgs/Pose", position=place, orientation=quaternion((0, 0, 0, 1)))
+    twist = make("geometry_msgs/Twist", linear=vector((speed, 0, 0)), angular=vector((0, 0, 0)))
     return make(
         "nav_msgs/Odometry",
         header=header(stamp(seconds), "map"),
@@ -67,18 +62,12 @@ def stamp(seconds: float) -> int:
 
 def transforms(*joints, seconds: float = 0.0):
     """Return a tf2_msgs/TFMessage of (parent, child, translation, xyzw)."""
-    return make(
-        "tf2_msgs/TFMessage",
-        transforms=[
-            make(
-                "geometry_msgs/TransformStamped",
-                header=header(stamp(seconds), parent),
-                child_frame_id=child,
-                transform=make("geometry_msgs/Transform", translation=vector(t), rotation=quaternion(q)),
-            )
-            for parent, child, t, q in joints
-        ],
-    )
+    stamped = []
+    for parent, child, t, q in joints:
+        transform = make("geometry_msgs/Transform", translation=vector(t), rotation=quaternion(q))
+        fields = {"header": header(stamp(seconds), parent), "child_frame_id": child, "transform": transform}
+        stamped.append(make("geometry_msgs/TransformStamped", **fields))
+    return make("tf2_msgs/TFMessage", transforms=stamped)
 
 
 def tree():

@@ -47,7 +47,7 @@ def samples(seconds: float = 60.0, seed: int = 0) -> tuple[VehicleSample, ...]:
     throttle = np.clip(0.6 * _wander(random, time, 4.0) + 0.3, 0, 1)
     brake = np.where(throttle < 0.02, np.clip(_wander(random, time, 3.0), 0, 1), 0.0)
     steer = np.clip(0.4 * _wander(random, time, 2.5), -1, 1)
-    angle, pressure = _lagged(rig.max_steer * steer, 0.12), _lagged(brake, 0.08)
+    angle, pressure = lagged(rig.max_steer * steer, 0.12), lagged(brake, 0.08)
     v = np.zeros(len(time))
     for i in range(1, len(time)):
         v[i] = max(v[i - 1] + DT * (3.0 * throttle[i - 1] - 5.0 * pressure[i - 1] - 0.15 * v[i - 1]), 0.0)
@@ -89,7 +89,8 @@ def _truth(row: int) -> WheelTruth:
     )
 
 
-def _lagged(command: np.ndarray, seconds: float) -> np.ndarray:
+def lagged(command: np.ndarray, seconds: float) -> np.ndarray:
+    """A command behind which a first-order actuator lags."""
     out = np.empty(len(command))
     out[0] = command[0]
     for i in range(1, len(command)):

@@ -1,25 +1,23 @@
 """A damaged file of a dataset, a run or a PCA is refused, or reads as before; `offpiste check` names it."""
 
 import hashlib
-import json
 import shutil
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from factories import small_rig
-from feature_datasets import FEATURES, rows_with_features
-from offpiste.cli import main
+from cli.command import run
+from feature_datasets import FEATURES, empty_dataset, random_pca, rows_with_features
 from offpiste.core.errors import OffpisteError
 from offpiste.dataset.map_snapshots import SnapshotWriter, crop
-from offpiste.dataset.splits import parse_split
-from offpiste.dataset.store import add_drive, create, open_dataset
+from offpiste.dataset.store import add_drive, open_dataset
 from offpiste.mapping.terrain_map import TerrainMap
-from offpiste.perception.pca import PrincipalComponents, load_pca, save_pca
+from offpiste.perception.backbones import open_backbone
+from offpiste.perception.pca import load_pca, save_pca
 from offpiste.training.checkpoint import load_tensors, save_checkpoint, save_tensors
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import build, load_run, save_run, vehicle_of
@@ -31,10 +29,7 @@ MUTATIONS = 60
 def make_dataset(path: Path) -> None:
     """Two drives, one with a map and one with snapshots."""
     rng = np.random.default_rng(0)
-    listed = path.with_suffix(".txt")
-    listed.write_text("mapped test\nkept validation\n")
-    split = parse_split(f"drives:{listed}")
-    create(path, small_rig(), split, tuple(f"pca{k}" for k in range(FEATURES)))
+    split = empty_dataset(path, {"mapped": "test", "kept": "validation"})
     looks = rng.normal(size=(60, 60, FEATURES)).astype(np.float32)
     flat, rise = np.ones((60, 60), np.float32), np.zeros((60, 60, 2), np.float32)
     for name in ("mapped", "kept"):
@@ -44,9 +39,7 @@ def make_dataset(path: Path) -> None:
             add_drive(path, name, rows, split, (), terrain)
             continue
         writer = SnapshotWriter(path / ".snapshots", 0.4, FEATURES)
-        state = rows.state[300].astype(np.float64)
-        state[:2] += rows.origin
-        writer.add(300, crop(terrain, state, 4.0))
+        writer.add(300, crop(terrain, rows.state[300] + np.array((*rows.origin, 0, 0, 0, 0)), 4.0))
         writer.close()
         add_drive(path, name, rows, split, ("a note",), snapshots=path / ".snapshots")
 
@@ -67,51 +60,47 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("integrity")
     make_dataset(folder / "data.zarr")
     make_run(folder / "run", folder / "data.zarr")
-    basis = np.linalg.qr(np.random.default_rng(0).normal(size=(12, 4)))[0].astype(np.float32)
-    mean, variance = np.zeros(12, np.float32), np.ones(4, np.float32)
-    save_pca(folder / "pca.safetensors", PrincipalComponents(mean, basis, variance, 8.0, "grid", "abc", {"images": 3}))
+    save_pca(folder / "pca.safetensors", random_pca(open_backbone("filterbank"), fitted_on={"images": 3}))
     return folder
+
+
+def digest(value: object) -> str:
+    """SHA-256 of a value with all that it contains."""
+    if is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
+    if isinstance(value, dict):
+        value = sorted(value.items())
+    if isinstance(value, list | tuple):
+        content = "".join(map(digest, value)).encode()
+    elif isinstance(value, np.ndarray | torch.Tensor):
+        content = np.ascontiguousarray(value).tobytes()
+    else:
+        content = repr(value).encode()
+    return hashlib.sha256(content).hexdigest()
 
 
 def read_dataset(path: Path) -> str:
     """Digest of the content of a dataset."""
-    dataset = open_dataset(path)
-    digest = hashlib.sha256(repr((dataset.rig, dataset.split, dataset.features, dataset.pca)).encode())
+    dataset, drives = open_dataset(path), []
     for drive in dataset.drives:
-        digest.update(repr((drive.name, drive.notes, drive.rows.origin.tolist())).encode())
-        arrays = [drive.part, *drive.rows.arrays().values()]
-        arrays += [getattr(drive.rows.cells, field.name) for field in fields(drive.rows.cells)]
-        terrains = [drive.load_map()] if drive.load_map else []
-        if drive.snapshots is not None:
-            arrays += [drive.snapshots.row, np.array([drive.snapshots.resolution])]
-            terrains += [drive.snapshots.load(k) for k in range(len(drive.snapshots.row))]
-        for terrain in terrains:
-            arrays += [terrain.origin, np.array([terrain.resolution]), terrain.elevation, terrain.features]
-        for array in arrays:
-            digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
+        terrains, kept = [drive.load_map()] if drive.load_map else [], drive.snapshots
+        if kept is not None:
+            terrains += [kept.row, kept.resolution, *map(kept.load, range(len(kept.row)))]
+        drives.append((drive.name, drive.notes, drive.part, drive.rows, terrains))
+    return digest((repr(dataset.rig), repr(dataset.split), dataset.features, dataset.pca, drives))
 
 
 def read_run(folder: Path) -> str:
     """Digest of the content of a run and its stages."""
     run = load_run(folder)
-    about = (run.model, run.seed, run.weights, run.scale.tolist(), run.split, run.seen, run.pca, run.dynamics.vehicle)
-    digest = hashlib.sha256(repr(about).encode())
     stages = [load_tensors(folder / f"{name}.safetensors") for name in ("bicycle", "model.checkpoint")]
-    for tensors, said in [(run.dynamics.state_dict(), {}), *stages]:
-        digest.update(json.dumps(said, sort_keys=True).encode())
-        for name in sorted(tensors):
-            digest.update(name.encode() + tensors[name].numpy().tobytes())
-    return digest.hexdigest()
+    about = (run.model, run.seed, run.weights, run.scale, run.split, run.seen, run.pca, run.dynamics.vehicle)
+    return digest((about, run.dynamics.state_dict(), stages))
 
 
 def read_pca(path: Path) -> str:
     """Digest of the content of a PCA."""
-    pca = load_pca(path)
-    digest = hashlib.sha256(repr((pca.total_variance, pca.backbone, pca.fingerprint, pca.fitted_on)).encode())
-    for array in (pca.mean, pca.basis, pca.variance):
-        digest.update(array.tobytes())
-    return digest.hexdigest()
+    return digest(load_pca(path))
 
 
 READ: dict[str, Callable[[Path], str]] = {"data.zarr": read_dataset, "run": read_run, "pca.safetensors": read_pca}
@@ -139,18 +128,12 @@ def test_a_flipped_bit_is_refused_or_changes_nothing(made: Path, name: str) -> N
     assert read(made / name) == wanted
 
 
-def run_check(*paths: Path) -> int:
-    with pytest.raises(SystemExit) as exit_:
-        main(["check", *map(str, paths)])
-    return int(exit_.value.code or 0)
-
-
 def test_check_says_how_much_is_intact(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_check(*(made / name for name in READ)) == 0
+    assert run("check", *(made / name for name in READ)) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == len(READ)
     assert all("MB are intact" in line for line in lines)
-    assert run_check(made) == 0, "a folder that holds some"
+    assert run("check", made) == 0, "a folder that holds some"
 
 
 @pytest.mark.parametrize(
@@ -180,7 +163,7 @@ def test_check_names_a_damaged_file_and_what_to_do(
     )
     content[at] ^= 1
     (tmp_path / name).write_bytes(content)
-    assert run_check(tmp_path / top) == 1
+    assert run("check", tmp_path / top) == 1
     output = capsys.readouterr().out
     assert any(str(tmp_path / name) in line and remedy in line for line in output.splitlines()), output
     assert "are intact" not in output
@@ -191,7 +174,7 @@ def test_check_misses_no_missing_chunk(made: Path, tmp_path: Path, capsys: pytes
     missing = {"rise": "kept/snapshots/rise/c/0/0", "elevation": "mapped/map/elevation/c/0/0"}
     for chunk in missing.values():
         (tmp_path / "data.zarr" / chunk).unlink()
-    assert run_check(tmp_path / "data.zarr") == 1
+    assert run("check", tmp_path / "data.zarr") == 1
     output = capsys.readouterr().out
     assert all(f"a chunk of '{array}' is missing; delete" in output for array in missing), output
 
@@ -199,7 +182,7 @@ def test_check_misses_no_missing_chunk(made: Path, tmp_path: Path, capsys: pytes
 def test_check_refuses_what_is_nothing_of_ours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "notes.txt").write_text("nothing")
     for path in (tmp_path, tmp_path / "notes.txt", tmp_path / "none"):
-        assert run_check(path) == 1
+        assert run("check", path) == 1
     said = capsys.readouterr()
     assert "is not a run, dataset or PCA, and contains none" in said.err
     assert "none: does not exist" in said.err

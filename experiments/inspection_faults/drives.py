@@ -1,5 +1,6 @@
 """Simulated drives of many vehicles: the truth that logs are recorded from."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -114,10 +115,11 @@ def _simulated(seed: int) -> TrueDrive:
             samples = samples[: -round(3.0 / DT)] or samples  # the fall is not driving
         speed = np.array([np.hypot(*sample.velocity[:2]) for sample in samples])
         if samples[-1].time * np.sqrt(size) > _LEAST and (speed > 1.0).mean() > 1 / 3:
-            return scaled(_true_drive(samples, behaviour, vehicle), size)
+            return scaled(true_drive(samples, behaviour, vehicle), size)
 
 
-def _true_drive(samples: list[VehicleSample], behaviour: str, vehicle: VehicleParameters) -> TrueDrive:
+def true_drive(samples: Sequence[VehicleSample], behaviour: str, vehicle: VehicleParameters) -> TrueDrive:
+    """Return samples of a vehicle as a true drive."""
     columns = [field.name for field in fields(TrueDrive) if field.name in vars(samples[0])]
     values: dict[str, Any] = {name: np.array([getattr(sample, name) for sample in samples]) for name in columns}
     values["command"] = np.array([sample.command[:3] for sample in samples])

@@ -10,3 +10,11 @@ def run(*words: object) -> int:
     with pytest.raises(SystemExit) as exit_:
         main([str(word) for word in words])
     return int(exit_.value.code or 0)
+
+
+def refusal(capsys, *words: object) -> str:
+    """Run a command that must fail, and return its one line."""
+    assert run(*words) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("offpiste: ")
+    return line

@@ -1,10 +1,11 @@
 """Output folders of commands, and interrupted commands."""
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
-from cli.command import run
+from cli.command import refusal, run
 from feature_datasets import dataset_with_features
 from offpiste.cli import entry
 from offpiste.cli.entry import COMMANDS
@@ -14,9 +15,7 @@ from offpiste.core.files import check_folder, unfinished
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("dataset") / "data.zarr"
-    dataset_with_features(path)
-    return path
+    return dataset_with_features(tmp_path_factory.mktemp("dataset") / "data.zarr").path
 
 
 B = "pretrained:proving-ground/b"
@@ -45,8 +44,7 @@ def test_a_folder_with_other_files_is_refused_and_left_alone(words, dataset, tmp
     out = tmp_path / "out"
     out.mkdir()
     (out / "mine.png").write_text("mine")
-    assert run(*(word.format(out=out, data=dataset) for word in words)) == 1
-    assert capsys.readouterr().err.count("\n") == 1
+    assert refusal(capsys, *(word.format(out=out, data=dataset) for word in words))
     assert [path.name for path in out.iterdir()] == ["mine.png"]
 
 
@@ -67,14 +65,8 @@ def test_demo_leaves_a_folder_of_runs_alone(tmp_path, capsys):
     inside.mkdir(parents=True)
     for name in ("model.json", "pca.safetensors"):
         (inside / name).write_text("mine")
-    assert run("demo", "--out", tmp_path / "out") == 1
-    assert "contains other files" in capsys.readouterr().err
+    assert "contains other files" in refusal(capsys, "demo", "--out", tmp_path / "out")
     assert {path.name for path in inside.iterdir()} == {"model.json", "pca.safetensors"}
-
-
-class Interrupted:
-    def run(self) -> int:
-        raise KeyboardInterrupt
 
 
 @pytest.mark.parametrize(
@@ -86,7 +78,7 @@ class Interrupted:
     ],
 )
 def test_an_interrupted_command_names_the_one_that_goes_on(name, said, monkeypatch, capsys):
-    monkeypatch.setattr(entry, "parse", lambda arguments, commands: Interrupted())
+    monkeypatch.setattr(entry, "parse", Mock(return_value=Mock(run=Mock(side_effect=KeyboardInterrupt))))
     assert run(name, "my drive.mcap", "--out", "d.zarr") == 1
     assert said in capsys.readouterr().err
 

@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from cli.test_faulty_logs import extract, folder, pca, said_by  # noqa: F401 - fixtures
+from cli.command import refusal, run
+from cli.test_faulty_logs import extraction, folder, pca  # noqa: F401 - fixtures
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.logs import open_log
 from offpiste.logs.ros.sensor_messages import message_from_points
@@ -20,17 +22,10 @@ WRONG = {
 
 def log_of(clock: PointClock, path: Path) -> Path:
     """A drive of six seconds with ten scans a second."""
-    scans = []
-    for number in range(58):
-        at = 0.1 + SWEEP * number
-        message = message_from_points(clock.fill(stamp(at) / 1e9, AROUND), stamp(at), "lidar")
-        scans.append((at + SWEEP, "/points", message))
+    starts = 0.1 + SWEEP * np.arange(58)
+    clouds = [message_from_points(clock.fill(stamp(at) / 1e9, AROUND), stamp(at), "lidar") for at in starts]
+    scans = [(at + SWEEP, "/points", cloud) for at, cloud in zip(starts.tolist(), clouds, strict=True)]
     return written(path, STATIC, images(), scans, poses())
-
-
-def rig_of(clock: PointClock, path: Path, **changed: str) -> Path:
-    path.write_text(RIG + clock.rig_lines(**changed))
-    return path
 
 
 @pytest.mark.parametrize("name", DRIVERS)
@@ -41,27 +36,19 @@ def test_a_drafted_rig_reads_the_times_of_points(name: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(("name", "key"), [("Ouster", "time_unit"), ("Livox", "time_origin")])
-def test_a_wrong_unit_or_origin_is_one_finding_and_stops_extract(
-    name: str,
-    key: str,
-    tmp_path: Path,
-    capsys,
-    pca: Path,  # noqa: F811
-) -> None:
-    clock = DRIVERS[name]
+def test_a_wrong_unit_or_origin_is_one_finding_and_stops_extract(name, key, tmp_path, capsys, pca):  # noqa: F811
+    clock, rig, log = DRIVERS[name], tmp_path / "rig.toml", log_of(DRIVERS[name], tmp_path / "log.mcap")
     right = clock.entries[key]
-    log = log_of(clock, tmp_path / "log.mcap")
-    rig = rig_of(clock, tmp_path / "rig.toml", **{key: WRONG[key][right]})
-    edit = f'lidars.top.{key} = "{right}"'
-    _, out, _ = said_by(capsys, "inspect", log, "--rig", rig)
-    assert out.count(edit) == 1
-    code, _, said = extract(capsys, tmp_path, pca, tmp_path / "d.zarr", log)
-    assert code == 1
-    (line,) = said.strip().splitlines()
+    extract, edit = extraction(tmp_path, pca, tmp_path / "d.zarr", log), f'lidars.top.{key} = "{right}"'
+    rig.write_text(RIG + clock.rig_lines(**{key: WRONG[key][right]}))
+    run("inspect", log, "--rig", rig)
+    assert capsys.readouterr().out.count(edit) == 1
+    line = refusal(capsys, *extract)
     assert line.endswith(edit)
     assert f"'top': '{clock.field}', read in " in line
-    rig_of(clock, tmp_path / "rig.toml")
-    assert extract(capsys, tmp_path, pca, tmp_path / "d.zarr", log)[0] == 0
-    _, out, _ = said_by(capsys, "inspect", log, "--rig", rig)
-    assert "time_unit" not in out
-    assert "time_origin" not in out
+    rig.write_text(RIG + clock.rig_lines())
+    assert run(*extract) == 0
+    capsys.readouterr()
+    run("inspect", log, "--rig", rig)
+    said = capsys.readouterr().out
+    assert not any(entry in said for entry in WRONG)

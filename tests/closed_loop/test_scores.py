@@ -17,7 +17,7 @@ from offpiste.closed_loop.scores import (
     prediction_errors,
     summary,
     trace_of,
-)
+)  # fmt: skip
 from offpiste.core.conventions import HORIZON_STEPS
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.course import Course
@@ -57,23 +57,19 @@ def test_errors_of_plans_5_s_after_their_start():
     assert prediction_errors([prediction(place, 20)], speeds_up) == pytest.approx([1.0]), "row 270"
 
 
+def summed(driving):
+    return summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS, VEHICLE)
+
+
 def hand_made(rows=10):
     """A metre a row along the course, 0.5 m beside it, but 1.5 m in row 3 and 4 m in row 9; it hits a tree in row 4."""
     aside = np.full(10, 0.5)
     aside[3], aside[9] = 1.5, 4.0
     like = samples(1.0)[0]
     truth = replace(like.truth, slip_ratio=np.full(4, -0.3), slip_angle=np.full(4, np.arctan(0.4)))
-    driven = [
-        replace(
-            like,
-            time=0.02 * row,
-            position=np.array((row, aside[row], 20.0)),
-            velocity=np.array((3.0, -4.0, 12.0)),
-            truth=truth,
-            events=("collision with a tree",) if row == 4 else (),
-        )
-        for row in range(rows)
-    ]
+    like = replace(like, velocity=np.array((3.0, -4.0, 12.0)), truth=truth)
+    driven = [replace(like, time=0.02 * row, position=np.array((row, aside[row], 20.0))) for row in range(rows)]
+    driven[4:5] = [replace(one, events=("collision with a tree",)) for one in driven[4:5]]
     modes = ["stopped", *(rows - 1) * ["driving"]]
     return Driving(driven, [Controls(time_of(s.time), np.zeros(3), m) for s, m in zip(driven, modes, strict=True)])
 
@@ -90,8 +86,7 @@ def test_the_trace_by_hand():
 
 def test_the_summary_counts_until_the_course_is_driven(monkeypatch):
     monkeypatch.setattr(scores, "RUN_UP", 4.0)
-    driving = hand_made()
-    found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS, VEHICLE)
+    found = summed(hand_made())
     assert found["finished"], "from row 7 on it is less than 3 m to the end"
     assert found["time_s"] == pytest.approx(8 * 0.02)
     assert found["progress_m"] == 7.0
@@ -112,19 +107,16 @@ def test_the_summary_counts_until_the_course_is_driven(monkeypatch):
 @pytest.mark.parametrize(("row", "counts"), [(7, True), (8, False)])
 def test_events_after_the_finish_do_not_count(row, counts):
     driving = hand_made()
-    happens = [
-        replace(one, events=("rollover", "collision with a tree", "left the world") if number == row else ())
-        for number, one in enumerate(driving.samples)
-    ]
-    found = summary(Driving(happens, driving.controls), trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS, VEHICLE)
+    happens = [replace(one, events=()) for one in driving.samples]
+    happens[row] = replace(happens[row], events=("rollover", "collision with a tree", "left the world"))
+    found = summed(Driving(happens, driving.controls))
     assert {found[name] for name in ("rollover", "collision", "damage", "left_world")} == {counts}
     assert found["interventions"] == 3 * counts
     assert len(found["vehicle_events"]) == 3, "they are named all the same"
 
 
 def test_a_drive_that_does_not_finish_counts_as_standstill_in_its_cost_alone():
-    driving = hand_made(rows=3)
-    found = summary(driving, trace_of(driving, COURSE), 10.0, 2.0, WEIGHTS, VEHICLE)
+    found = summed(hand_made(rows=3))
     assert not found["finished"]
     assert (found["time_s"], found["progress_m"]) == (pytest.approx(0.06), 2.0)
     assert found["driven_cost"] == pytest.approx(0.06 * (3 * 0.25 + 4) + (2.0 - 0.06) * (3 * 0.25 + 49))
@@ -160,11 +152,14 @@ def test_interventions_are_stops_and_events():
     assert interventions(gives_up, {"stuck"}) == 1, "the stop and the event are one"
 
 
+def trace(place, progress):
+    zeros = np.zeros(len(place))
+    return Trace(place, zeros, zeros, zeros, progress, zeros)
+
+
 def progressing(metres):
     """A drive of 20 s that makes so much progress in its last 12 s."""
-    rows = np.arange(1000)
-    zeros = np.zeros(1000)
-    return Trace(np.zeros((1000, 2)), zeros, zeros, zeros, 30 + metres * np.clip((rows - 399) / 600, 0, 1), zeros)
+    return trace(np.zeros((1000, 2)), 30 + metres * np.clip((np.arange(1000) - 399) / 600, 0, 1))
 
 
 def test_a_drive_that_gave_up_backed_out_or_stands_at_its_end_is_stuck():
@@ -186,14 +181,12 @@ def test_the_way_is_the_nearer_one_in_the_middle():
     course = Course(ways[0], np.full(21, 7.0), alternative=ways[1])
     length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(ways[0], axis=0), axis=1))))
 
-    def driven(place):
-        zeros = np.zeros(len(place))
-        return Trace(place, zeros, zeros, zeros, length[: len(place)], zeros)
+    def way(place, firm, course=course):
+        return firm_way(trace(place, length[: len(place)]), course, firm)
 
-    assert firm_way(driven(ways[0]), course, 0)
-    assert firm_way(driven(ways[1]), course, 0) is False
-    assert firm_way(driven(ways[1]), course, 1)
-    crosses = np.where((x < 10)[:, None], ways[1], ways[0])
-    assert firm_way(driven(crosses), course, 0), "where they are farthest apart, it is on the first"
-    assert firm_way(driven(ways[0][:10]), course, 0) is None
-    assert firm_way(driven(ways[0]), COURSE, None) is None
+    assert way(ways[0], 0)
+    assert way(ways[1], 0) is False
+    assert way(ways[1], 1)
+    assert way(np.where((x < 10)[:, None], ways[1], ways[0]), 0), "where they are farthest apart, it is on the first"
+    assert way(ways[0][:10], 0) is None
+    assert way(ways[0], None, COURSE) is None

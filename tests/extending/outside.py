@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from factories import HEAD
 from offpiste.core.conventions import DT
 from warm import run_warm
 
@@ -23,20 +24,13 @@ def succeeded(*arguments: str | Path, extension: str) -> str:
     return done.stdout
 
 
-CAR = """
-name = "car"
-absent = ["brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]
-[vehicle]
-mass = 800.0
-max_steer = 0.4
-pose_point = "the rear axle"
-wheel_positions = [[2.2, 0.6], [2.2, -0.6], [0.0, 0.6], [0.0, -0.6]]
+CAR = f"""{HEAD}
 [channels]
-position = { fields = ["x", "y"] }
-yaw = { fields = ["yaw"] }
-throttle = { fields = ["throttle"] }
-brake = { fields = ["brake"] }
-steer = { fields = ["steer"] }
+position = {{ fields = ["x", "y"] }}
+yaw = {{ fields = ["yaw"] }}
+throttle = {{ fields = ["throttle"] }}
+brake = {{ fields = ["brake"] }}
+steer = {{ fields = ["steer"] }}
 """
 
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from extending.outside import extracted_car, succeeded
 from offpiste.core.conventions import DT
+from synthetic_drive import lagged
 
 CHANNEL = 'throttle_position = { fields = ["flap"], unit = "percent" }'
 
@@ -83,9 +84,6 @@ def test_the_run_time_reads_an_added_actuator_and_plans_with_it():
 def test_an_added_actuator_lags_behind_its_command(tmp_path):
     time = np.arange(0, 30, DT)
     throttle = 0.5 + 0.4 * np.sign(np.sin(0.8 * time))
-    position = np.empty_like(time)
-    position[0] = throttle[0]
-    for i in range(1, len(time)):
-        position[i] = position[i - 1] + DT * 2.0 * (throttle[i - 1] - position[i - 1])
-    dataset = extracted_car(tmp_path, CHANNEL, extension="throttle_lag", throttle=throttle, flap=100 * position)
+    flap = 100 * lagged(throttle, 0.5)
+    dataset = extracted_car(tmp_path, CHANNEL, extension="throttle_lag", throttle=throttle, flap=flap)
     assert int(succeeded("-c", ROLL_OUT, dataset, extension="throttle_lag")) > 10

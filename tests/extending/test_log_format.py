@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 
 from extending.outside import EXTENSIONS, offpiste, succeeded
-from factories import RIG as SMALL_RIG
+from factories import WITHOUT_COMMANDS
 from offpiste.dataset.store import open_dataset
+from offpiste.logs import open_log
+from offpiste.logs.log import LOG_FORMATS
+from offpiste.logs.sensor_log import open_sensors
 from offpiste.rig.rig import parse_rig
 
 START = 1_400_000_000_000_000_000
 """First stamp [ns]."""
 SPEED = 2.0
-HEAD = SMALL_RIG.split("[channels")[0].replace("absent = [", 'absent = ["throttle", "brake", "steer", ')
-RIG = f"""{HEAD}
+RIG = f"""{WITHOUT_COMMANDS}
 [channels.position]
 topic = "state_groundtruth_estimate0"
 fields = ["p_RS_R_x", "p_RS_R_y", "p_RS_R_z"]
@@ -78,10 +80,6 @@ def test_extract_reads_its_poses(drive: Path, tmp_path: Path) -> None:
 
 
 def test_its_camera_is_read_through_the_rig(drive: Path) -> None:
-    from offpiste.logs import open_log
-    from offpiste.logs.log import LOG_FORMATS
-    from offpiste.logs.sensor_log import open_sensors
-
     before = set(LOG_FORMATS)
     runpy.run_path(str(EXTENSIONS / "euroc.py"))
     try:

@@ -4,9 +4,7 @@ import json
 from pathlib import Path
 
 from extending.outside import succeeded
-from factories import circle_rows, small_rig
-from offpiste.dataset.splits import parse_split
-from offpiste.dataset.store import add_drive, create
+from factories import circle_dataset, circle_rows
 
 VALUES = """
 import torch
@@ -24,9 +22,7 @@ def test_late_errors_cost_more():
 
 
 def test_a_model_is_trained_with_the_loss_of_an_extension(tmp_path: Path) -> None:
-    path, split = tmp_path / "circles.zarr", parse_split("blocks:0.4,0.3,0.3")
-    create(path, small_rig(), split)
-    add_drive(path, "circles", circle_rows(3000), split, ())
+    path = circle_dataset(tmp_path / "circles.zarr", circle_rows(3000)).path
     few = ("--model", "parametric", "--epochs", "1", "--actuator-epochs", "1", "--stride", "100", "--batch", "32")
     succeeded("train", path, "--out", tmp_path / "run", "--loss", "late", *few, extension="late_loss")
     assert json.loads((tmp_path / "run" / "model.json").read_text("utf-8"))["train"]["loss"] == "late"

@@ -5,10 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from extending.outside import succeeded
-from factories import RIG, circle_rows
-from offpiste.dataset.splits import parse_split
-from offpiste.dataset.store import add_drive, create, open_dataset
-from offpiste.rig.rig import parse_rig
+from factories import circle_dataset, circle_rows
 from offpiste.training.config import TrainConfig
 from offpiste.training.train import train
 
@@ -16,12 +13,9 @@ QUICK = TrainConfig(model="parametric", epochs=1, bicycle_epochs=1, actuator_epo
 
 
 def test_the_report_has_the_figure_of_an_extension(tmp_path: Path) -> None:
-    path, split, out = tmp_path / "circles.zarr", parse_split("blocks:0.4,0.2,0.4"), tmp_path / "report"
-    rows = circle_rows(3000)
+    path, out, rows = tmp_path / "circles.zarr", tmp_path / "report", circle_rows(3000)
     rows.state_causal[:, 5] = np.linspace(0.1, 0.5, len(rows.state_causal))
-    create(path, parse_rig(RIG, where="test"), split)
-    add_drive(path, "circles", rows, split, ())
-    train(open_dataset(path), QUICK, tmp_path / "run")
+    train(circle_dataset(path, rows, "blocks:0.4,0.2,0.4"), QUICK, tmp_path / "run")
 
     succeeded("evaluate", tmp_path / "run", "--dataset", path, "--out", out, extension="yaw_rate_figure")
     assert (out / "yaw_rate.png").read_bytes().startswith(b"\x89PNG")

@@ -5,22 +5,19 @@ import json
 import re
 import shlex
 import signal
-import tomllib
 
 import pytest
 from packaging.requirements import Requirement
 
-from installation import wheels
+from installation.test_dependencies import EXTRAS, PYPROJECT, ROOT, core_dependencies
 from offpiste.cli.entry import commands_in_order, parse
 from offpiste.core.signals import GROUP_SIGNALS
 from offpiste.live.control import ENDS
 from offpiste.live.part import AFTER
 from offpiste.live.session import RINGS
 
-ROOT = wheels.PYPROJECT.parent
 UNIT, DOCKERFILE = ROOT / "deploy" / "offpiste.service", ROOT / "deploy" / "Dockerfile"
 PAGE = (ROOT / "docs" / "install-on-a-robot.md").read_text("utf-8")
-EXTRAS = tomllib.loads(wheels.PYPROJECT.read_text())["project"]["optional-dependencies"]
 INSTALLED = "/opt/offpiste/bin/offpiste"
 
 
@@ -68,10 +65,9 @@ def test_the_container_installs_what_there_is():
     assert steps[0] == ("FROM", "python:3.12-slim-bookworm")
     known = {"FROM", "WORKDIR", "COPY", "RUN", "ENV", "VOLUME", "ENTRYPOINT", "CMD"}
     assert {name for name, _ in steps} <= known
-    for copied in (rest.split()[:-1] for name, rest in steps if name == "COPY"):
-        assert all((ROOT / source).exists() for source in copied)
-    project = tomllib.loads(wheels.PYPROJECT.read_text())["project"]
+    project = PYPROJECT["project"]
     copied = {source for name, rest in steps if name == "COPY" for source in rest.split()[:-1]}
+    assert all((ROOT / source).exists() for source in copied)
     assert {"pyproject.toml", "src", project["readme"], *project["license-files"]} <= copied, "what the build reads"
     installed = next(rest for name, rest in steps if name == "RUN")
     extras = re.findall(r"\.\[([a-z,]+)\]", installed)[0].split(",")
@@ -95,7 +91,7 @@ def test_commands_of_the_page_are_understood(monkeypatch):
 
 
 def test_the_page_names_every_core_dependency_and_the_extras_of_a_robot():
-    wanted = {requirement.name for requirement in wheels.core_dependencies()}
+    wanted = {requirement.name for requirement in core_dependencies()}
     wanted |= {Requirement(text).name for name in ("live", "view", "onnx") for text in EXTRAS[name]}
     table = PAGE[PAGE.index("pure Python") : PAGE.index("| none |")]
     assert wanted <= set(re.findall(r"[a-z][a-z0-9.-]+[a-z0-9]", table)), wanted

@@ -1,9 +1,12 @@
 """Robot without a simulator: it stands, or drives straight ahead on a plain seen by one LiDAR."""
 
+from itertools import count
 from pathlib import Path
 
 import numpy as np
+import torch
 
+import sensor_bags
 from offpiste.live.reception import CourseRequest
 from offpiste.live.session import LiveSettings
 from offpiste.logs.ros.sensor_messages import message_from_points
@@ -12,13 +15,17 @@ from offpiste.planning import mppi
 from offpiste.planning.controls import PEDAL_LIMITS
 from offpiste.rig.rig import parse_rig
 from offpiste.runtime.backing_out import BackingOutSettings
+from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.planner import Planner
+from offpiste.runtime.prediction import Prediction
 from offpiste.transport.zenoh_transport import ZenohSettings
+from runtime import stream
 from runtime.stream import parametric, settings
 
 RUN = "pretrained:proving-ground/parametric"
 ACKERMANN = "ackermann_msgs/msg/AckermannDriveStamped"
-START = 200 * 10**9
+ODOMETRY, CLOUD, TRANSFORMS = "nav_msgs/msg/Odometry", "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
+START = sensor_bags.stamp(0)
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("t", "<u4")])
 RIG = """
 name = "synthetic"
@@ -117,16 +124,7 @@ def path(frame, stamp=START, end=9.0):
 
 
 def odometry(seconds, x=0.0, speed=0.0):
-    pose = make("geometry_msgs/Pose", position=vector((x, 0, 0.33), "geometry_msgs/Point"),
-                orientation=quaternion((0, 0, 0, 1)))  # fmt: skip
-    twist = make("geometry_msgs/Twist", linear=vector((speed, 0, 0)), angular=vector((0, 0, 0)))
-    return make(
-        "nav_msgs/Odometry",
-        header=header(START + round(seconds * 1e9), "map"),
-        child_frame_id="base_link",
-        pose=make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
-        twist=make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
-    )
+    return sensor_bags.odometry(seconds, x=x, speed=speed, height=0.33)
 
 
 def cloud(seconds):
@@ -139,10 +137,36 @@ def cloud(seconds):
 
 
 def tree():
-    transform = make("geometry_msgs/Transform", translation=vector((0, 0, 2)), rotation=quaternion((0, 0, 0, 1)))
-    stamped = make("geometry_msgs/TransformStamped", header=header(START, "base_link"), child_frame_id="lidar",
-                   transform=transform)  # fmt: skip
-    return make("tf2_msgs/TFMessage", transforms=[stamped])
+    return sensor_bags.transforms(("base_link", "lidar", (0, 0, 2), (0, 0, 0, 1)))
+
+
+class Robot:
+    """Publishes odometry, and a scan with every `scans` of it."""
+
+    def __init__(self, session, *, odom_topic="/odom", without=(), scans=5, scan_age=0.1):
+        self.odom, self.rows = session.publisher(odom_topic, ODOMETRY), count()
+        self.scans, self.scan_age = scans, scan_age
+        self.points = None if "/points" in without else session.publisher("/points", CLOUD)
+        if "/tf_static" not in without:
+            session.publisher("/tf_static", TRANSFORMS, keep=True)(tree())
+
+    def publish(self, seconds, x=0.0, speed=0.0, change=lambda message: message):
+        self.odom(change(odometry(seconds, x, speed)))
+        if next(self.rows) % self.scans == 0 and self.points is not None:
+            self.points(cloud(seconds - self.scan_age))
+
+
+def reading(now, x=0.0, speed=0.0):
+    return stream.reading(now, x, vx=speed, actuators=0.0)
+
+
+def plan(start, speed=2.0, gear=1.0):
+    """A plan made 0.1 s before its start, and where it leads: straight ahead from x = 1 m."""
+    states = np.zeros((250, 6))
+    states[:, 0], states[:, 3] = 1.0 + speed * 0.02 * np.arange(1, 251), speed
+    return TimedPlan(start, start - 0.1, torch.tensor([[0.4, 0.0, 0.2]]).repeat(250, 1), gear), Prediction(
+        start, states
+    )
 
 
 def write_log(path: Path, seconds=3.0, speed=2.0):

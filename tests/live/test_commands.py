@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from cli.command import refusal
 from live.synthetic_robot import ENABLE, RUN, START, cloud, live_settings, odometry, tree, write_course, write_rig
-from offpiste.cli import main
 from offpiste.core.errors import LiveError, OffpisteError
 from offpiste.core.shipped import run_folder
 from offpiste.live.commands import run_live
@@ -104,12 +104,7 @@ def test_a_replay_writes_its_commands_and_names_a_sensor_that_was_left_out(tmp_p
 
 def line(folder, capsys, *options):
     """The one line printed by `offpiste live` with some options."""
-    command = ["live", write_rig(folder), "--run", RUN, "--course", write_course(folder), *options]
-    with pytest.raises(SystemExit) as ended:
-        main([str(word) for word in command])
-    assert ended.value.code == 1
-    (message,) = capsys.readouterr().err.strip().splitlines()
-    return message
+    return refusal(capsys, "live", write_rig(folder), "--run", RUN, "--course", write_course(folder), *options)
 
 
 @pytest.mark.parametrize(

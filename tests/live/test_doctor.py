@@ -4,60 +4,43 @@ import math
 import re
 import threading
 import time
+from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from live.synthetic_robot import ENABLE, START, cloud, odometry, tree, write_rig
+from live.synthetic_robot import ACKERMANN, ENABLE, ODOMETRY, START, Robot, write_rig
 from offpiste.live import doctor
 from offpiste.live.doctor import examined
 from offpiste.logs.ros.writer import make
 from offpiste.transport.zenoh_transport import ZenohSettings
 from transport.routers import Network, free_port
 
-ODOM = "nav_msgs/msg/Odometry"
 LISTENS = 1.2
 """Time to listen [s]: more than a busy machine needs for the first message."""
 
 
-class Robot:
-    """Robot that publishes until it is closed, with given faults."""
+def found(folder, *, more="", run="", change=lambda text: text, before=lambda network: None,
+          late=0.0, odom=lambda message: message, **robot):  # fmt: skip
+    """Findings about a robot that publishes, with given faults of its messages and of its rig."""
+    file, stop = Path(write_rig(folder, more)), threading.Event()
+    file.write_text(change(file.read_text()))
+    with closing(Network()) as network:
+        publishes = Robot(network.session(), scans=1, scan_age=0.0, **robot)
 
-    def __init__(self, network, *, late=0.0, without=(), odom=lambda message: message, odom_topic="/odom"):
-        session = network.session()
-        self._stop = threading.Event()
-        publish = session.publisher(odom_topic, ODOM)
-        scan = session.publisher("/points", "sensor_msgs/msg/PointCloud2")
-        if "/tf_static" not in without:
-            session.publisher("/tf_static", "tf2_msgs/msg/TFMessage", keep=True)(tree())
+        def publish():
+            while not stop.wait(0.05):
+                publishes.publish(time.time() - START / 1e9 - late, change=odom)
 
-        def run():
-            while not self._stop.wait(0.05):
-                now = time.time() - START / 1e9 - late
-                publish(odom(odometry(now)))
-                if "/points" not in without:
-                    scan(cloud(now))
-
-        self._thread = threading.Thread(target=run)
-        self._thread.start()
-
-    def close(self):
-        self._stop.set()
-        self._thread.join()
-
-
-def found(folder, *, more="", run="", change=lambda text: text, before=lambda network: None, **robot):
-    network = Network()
-    rig = write_rig(folder, more)
-    text = change((folder / "rig.toml").read_text())
-    (folder / "rig.toml").write_text(text)
-    moving = Robot(network, **robot)
-    try:
-        before(network)
-        return list(examined(rig, run, None, ZenohSettings(endpoint=network.endpoint), LISTENS, "system"))
-    finally:
-        moving.close()
-        network.close()
+        thread = threading.Thread(target=publish)
+        thread.start()
+        try:
+            before(network)
+            return list(examined(str(file), run, None, ZenohSettings(endpoint=network.endpoint), LISTENS, "system"))
+        finally:
+            stop.set()
+            thread.join()
 
 
 def errors(findings):
@@ -69,7 +52,7 @@ def test_a_correct_robot_has_no_errors(tmp_path):
     assert errors(findings) == []
     said = [what for _, what in findings]
     assert re.search(r"offpiste \S+, eclipse-zenoh \S+, rosbags \S+, torch \S+, Python 3", said[0])
-    assert any(what.startswith(f"/odom: {ODOM}") and "a second" in what for what in said)
+    assert any(what.startswith(f"/odom: {ODOMETRY}") and "a second" in what for what in said)
     assert "/drive: ackermann_msgs/msg/AckermannDriveStamped can be sent" in said
     assert ("warning", "/gear: nothing heard") in findings, "an optional channel"
     assert any("another publisher commands" in what for what in said)
@@ -105,8 +88,7 @@ def other_hash(network):
 
 
 def commands(network):
-    kind = "ackermann_msgs/msg/AckermannDriveStamped"
-    soon(network.session().publisher("/drive", kind), network.router.types.empty(kind))
+    soon(network.session().publisher("/drive", ACKERMANN), network.router.types.empty(ACKERMANN))
 
 
 def presses(network):

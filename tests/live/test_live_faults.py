@@ -13,18 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from live.synthetic_robot import (
-    ACKERMANN,
-    ENABLE,
-    RUN,
-    START,
-    cloud,
-    live_settings,
-    odometry,
-    tree,
-    write_course,
-    write_rig,
-)
+from live.synthetic_robot import ACKERMANN, ENABLE, RUN, START, Robot, live_settings, write_course, write_rig
 from live.test_supervisor import Drive, drove, first_stop, listening
 from offpiste.core.signals import BACKGROUND, ENDING, GROUP_SIGNALS
 from offpiste.live.part import AFTER
@@ -340,39 +329,22 @@ def test_the_watchdog_commands_the_stop_after_all_others_end(tmp_path, number):
         assert not group.memory.exists()
 
 
-class Robot:
-    """Robot that stands on a plain and publishes in real time."""
-
-    def __init__(self, network):
-        session = network.session()
-        self.odom = session.publisher("/odom", "nav_msgs/msg/Odometry")
-        self.points = session.publisher("/points", "sensor_msgs/msg/PointCloud2")
-        session.publisher("/tf_static", "tf2_msgs/msg/TFMessage", keep=True)(tree())
-        self.commands, self.rows = [], 0
-        session.subscribe("/drive", lambda m: self.commands.append((time.monotonic(), session.decode(m).drive)))
-
-    def publish(self):
-        now = time.time() - START / 1e9
-        self.odom(odometry(now, 1.0))
-        if self.rows % 5 == 0:
-            self.points(cloud(now - 0.1))
-        self.rows += 1
-
-
 def test_a_drive_with_every_process_killed_once(tmp_path, network):
-    robot, log, parts = Robot(network), tmp_path / "drive.mcap", {}
+    listener, log, parts, heard = network.session(), tmp_path / "drive.mcap", {}, []
+    listener.subscribe("/drive", lambda one: heard.append((time.monotonic(), listener.decode(one).drive.acceleration)))
+    robot = Robot(listener)
     settings = live_settings(tmp_path, network=network, actuators=True, drive=True, record=RecordSettings(log))
 
     def run(seconds):
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            robot.publish()
+            robot.publish(time.time() - START / 1e9, 1.0)
             parts.update(live.look())
             time.sleep(0.02)
 
     def drives(seconds):
-        seen = len(robot.commands)
-        return until(lambda: run(0.1) or any(drive.acceleration > 0 for _, drive in robot.commands[seen:]), seconds)
+        seen = len(heard)
+        return until(lambda: run(0.1) or any(acceleration > 0 for _, acceleration in heard[seen:]), seconds)
 
     with new_session(settings) as session:
         live = Supervisor(session, network.session())
@@ -385,7 +357,7 @@ def test_a_drive_with_every_process_killed_once(tmp_path, network):
                 moment = time.monotonic()
                 os.kill(live._processes[name].pid, signal.SIGKILL)
                 run(0.3)
-                times = [moment, *(at for at, _ in robot.commands if at > moment)]
+                times = [moment, *(at for at, _ in heard if at > moment)]
                 assert largest_gap(times) < 0.2, f"commands flow without {name}"
                 assert until(lambda: run(0.1) or (parts[name][1], live.restarts[name]) == ("ready", 1), 60), parts  # noqa: B023
                 assert drives(20), (name, parts)

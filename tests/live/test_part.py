@@ -7,9 +7,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 
-from live.synthetic_robot import START, cloud, live_settings, odometry, planner, small_settings, tree
+from live.synthetic_robot import START, cloud, live_settings, odometry, plan, planner, reading, small_settings, tree
 from offpiste.live.control import Controller
 from offpiste.live.map_and_plan import Plans, _within_reach
 from offpiste.live.part import STAMP, Part, TrackFeed
@@ -18,31 +17,16 @@ from offpiste.live.replay import StepDriver
 from offpiste.live.ring import pack_fields, pack_layers, packed, unpacked
 from offpiste.live.robot_messages import VehicleMessages
 from offpiste.live.session import new_session
-from offpiste.mapping.terrain_map import TerrainLayers
-from offpiste.planning.course import Course
 from offpiste.rig.rig import load_rig
-from offpiste.runtime.estimator import VehicleReading, VehicleTrack
-from offpiste.runtime.follower import TimedPlan
+from offpiste.runtime.estimator import VehicleTrack
 from offpiste.runtime.plan_maker import Planned
-from offpiste.runtime.prediction import Prediction, reachable
+from offpiste.runtime.prediction import reachable
+from planning_maps import layers
+from runtime.stream import course
 from transport.routers import Network
 
 COMMANDED = {"applied": np.zeros(3), "driver": {}, "stopping": False, "gear": 1.0, "mode": "driving"}
 COMMANDED |= {"course": 1, "progress": 30.0}
-STRAIGHT = Course(np.stack((np.arange(0.0, 60), np.zeros(60)), axis=1), np.full(60, 4.0))
-
-
-def flat(ny, nx, origin=0.0):
-    """Layers of a known, flat map."""
-    zero, yes = np.zeros((ny, nx)), np.ones((ny, nx), bool)
-    return TerrainLayers(
-        np.full(2, origin), 0.5, zero, np.zeros((ny, nx, 3)), zero, zero, zero, np.zeros((ny, nx, 2)), zero,
-        yes, yes, ~yes,
-    )  # fmt: skip
-
-
-def reading(now, x=0.0):
-    return VehicleReading(now, np.array((x, 0, 0)), np.array((0, 0, 0, 1.0)), np.zeros(3), 0.0, np.zeros(4))
 
 
 @contextmanager
@@ -92,36 +76,28 @@ def test_signs_of_life_are_cheap_and_large_messages_are_dropped(tmp_path):
 
 @pytest.mark.parametrize("gear", [1.0, -1.0])
 def test_the_cropped_map_contains_the_reach_of_plans_at_the_speed_of_the_course(tmp_path, gear):
-    def corners(layers):
-        ny, nx = layers.known.shape
-        return layers.origin, layers.origin + layers.resolution * np.array((nx - 1, ny - 1))
+    def corners(area):
+        ny, nx = area.known.shape
+        return area.origin, area.origin + area.resolution * np.array((nx - 1, ny - 1))
 
     with part_of(tmp_path) as part:
-        track, layers = VehicleTrack(), flat(240, 240, -60.0)
+        track, mapped = VehicleTrack(), layers(240)
         for now in (0.0, 0.02):
             track.add(reading(now))
         if gear < 0:
             part.ring("commands").write(packed({"time": 0.02, "gear": gear}))
-        (low, high), margin = corners(_within_reach(layers, track, part, 8.0)), part.settings.runtime.margin
+        (low, high), margin = corners(_within_reach(mapped, track, part, 8.0)), part.settings.runtime.margin
         for ahead in (0.0, 1.5):  # driven since
             state = np.array((gear * ahead, 0.0, 0.0, 0.0, 0.0, 0.0))
-            wanted = corners(reachable(layers, state, 8.0, gear, margin))
+            wanted = corners(reachable(mapped, state, 8.0, gear, margin))
             assert (low <= wanted[0]).all()
             assert (high >= wanted[1]).all()
         assert max(gear * low[0], gear * high[0]) >= 8 * 5, "the distance in five seconds"
 
 
-class Maker:
-    """Maker of plans without a map."""
-
-    map_empty, failures = False, ()
-
-    def plan(self, now, *_, **__):
-        states = np.tile((0.0, 0, 0, 2.0, 0, 0), (250, 1))
-        return Planned(TimedPlan(now + 0.2, now, torch.zeros(250, 3)), Prediction(now + 0.2, states), 0.0)
-
-    def forget(self):
-        pass
+def planned(now, *_, **__):
+    """Plan without a map."""
+    return Planned(*plan(now + 0.2), 0.0)
 
 
 @contextmanager
@@ -129,44 +105,45 @@ def planning(folder):
     """Plans on a straight course, their session, and a function that makes a plan 0.1 s later."""
     with part_of(folder, "plan") as part:
         session, clock = part.session, [100.0]
-        session.ring("course").write(pack_fields(STRAIGHT))
+        session.ring("course").write(pack_fields(course(speed=4.0)))
         part.now = lambda: clock[0]
         plans = Plans(part)
-        plans._maker.plan = Maker().plan
+        plans._maker.plan = planned
 
-        def plan(x=30.0, *, mapped=True, later=0.1):
+        def at(x=30.0, *, mapped=True, later=0.1):
             clock[0] += later
             session.ring("commands").write(packed(COMMANDED | {"time": clock[0]}))
             session.ring("readings").write(pack_fields(reading(clock[0], x), control=None, came=0.0))
             if mapped:
-                session.ring("map").write(pack_layers(flat(3, 4), scan_time=clock[0]))
+                session.ring("map").write(pack_layers(layers(4), scan_time=clock[0]))
             return plans.plan()
 
-        yield plans, plan
+        yield plans, at
 
 
 def test_obsolete_plans_and_commands_are_forgotten_and_the_course_is_continued(tmp_path):
-    with planning(tmp_path) as (plans, plan):
-        plans._maker, longest = Maker(), {"plans": 0, "commands": 0}
+    with planning(tmp_path) as (plans, at):
+        plans._maker = SimpleNamespace(plan=planned, map_empty=False, failures=(), forget=lambda: None)
+        longest = {"plans": 0, "commands": 0}
         for _ in range(3):  # a log that is played again and again
             for _ in range(60):
-                state = plan()
+                state = at()
                 longest["plans"] = max(longest["plans"], len(plans._follower.schedule._plans))
                 longest["commands"] = max(longest["commands"], len(plans._feed.track._commands))
             assert state == "ready"
-            plan(later=-4.0)
+            at(later=-4.0)
         assert longest["plans"] < 10
         assert longest["commands"] < 40
         assert plans._follower.tracker.progress == 30.0, "not the beginning of the course"
 
 
 def test_after_a_jump_an_old_map_is_not_used(tmp_path):
-    with planning(tmp_path) as (_, plan):
-        plan(0.0, mapped=False)
-        assert plan(0.0) == "ready"
-        plan(50.0)
-        assert plan(50.0, mapped=False) == "waits for a map", "the available one belongs to the earlier pose"
-        assert plan(50.0) == "ready"
+    with planning(tmp_path) as (_, at):
+        at(0.0, mapped=False)
+        assert at(0.0) == "ready"
+        at(50.0)
+        assert at(50.0, mapped=False) == "waits for a map", "the available one belongs to the earlier pose"
+        assert at(50.0) == "ready"
 
 
 def test_in_shadow_mode_plans_begin_from_the_drivers_commands_in_real_time_as_in_a_replay(tmp_path):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from live.synthetic_robot import START, cloud, live_settings, odometry, path, tree
+from live.synthetic_robot import CLOUD, ODOMETRY, START, Robot, cloud, live_settings, odometry, path
 from offpiste.core.conventions import ACTUATORS
 from offpiste.core.errors import LiveError
 from offpiste.live import receive
@@ -20,7 +20,6 @@ from offpiste.planning.course import Course
 from transport.routers import network, until
 
 __all__ = ["network"]
-ODOMETRY = "nav_msgs/msg/Odometry"
 HEADERLESS = """
 [channels.throttle]
 topic = "/cmd_vel"
@@ -83,17 +82,14 @@ def test_the_state_names_late_optional_sensors_and_refused_messages(tmp_path, ne
     file.parent.mkdir(parents=True)
     file.write_text("float64 data\n")
     with receiving(tmp_path, network, '[lidars.rear]\ntopic = "/rear"\noptional = true\n') as (receiver, _):
-        robot, seconds, odd = network.session(), count(0.0, 0.5), make("std_msgs/Float64", data=0.0)
+        seconds, odd = count(0.0, 0.5), make("std_msgs/Float64", data=0.0)
         wrong = network.session((file,)).publisher("/odom", "my_msgs/msg/Odd")
         assert receiver.state.startswith("waits for readings")
         assert until(lambda: wrong(odd) or "; refused: /odom: unknown type my_" in receiver.state)
-        odom = robot.publisher("/odom", ODOMETRY)
-        points, rear = (robot.publisher(topic, "sensor_msgs/msg/PointCloud2") for topic in ("/points", "/rear"))
-        robot.publisher("/tf_static", "tf2_msgs/msg/TFMessage", keep=True)(tree())
+        robot, rear = Robot(network.session(), scans=1), network.session().publisher("/rear", CLOUD)
 
         def is_ready():
-            points(cloud(0.0))
-            odom(odometry(next(seconds)))
+            robot.publish(next(seconds))
             receiver.read()
             return receiver.state == "ready"
 

@@ -8,20 +8,17 @@ import time
 
 import numpy as np
 import pytest
-import torch
 
-from live.synthetic_robot import RIG, rig
+from live.synthetic_robot import RIG, plan, rig
 from offpiste.core.errors import LiveError
 from offpiste.live import ring as rings
 from offpiste.live.ring import Reader, Ring, from_fields, pack_fields, packed, unpacked
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
-from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.course import Course
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.rig import parse_rig
 from offpiste.runtime.estimator import VehicleReading
-from offpiste.runtime.follower import TimedPlan
-from offpiste.runtime.prediction import Prediction
+from planning_maps import layers
 
 
 @pytest.fixture
@@ -152,23 +149,20 @@ def same(a, b):
 
 
 def test_records_are_restored():
-    rng, flat, yes = np.random.default_rng(0), np.zeros((3, 4)), np.ones((3, 4), bool)
-    turn = rng.normal(size=4)
+    rng = np.random.default_rng(0)
     for record in (
-        VehicleReading(3.0, rng.normal(size=3), turn, rng.normal(size=3), 0.1, np.full(4, np.nan)),
+        VehicleReading(3.0, rng.normal(size=3), rng.normal(size=4), rng.normal(size=3), 0.1, np.full(4, np.nan)),
         Image(1.0, "eye", rng.integers(0, 255, (4, 6, 3)).astype(np.uint8)),
         Cloud(1.0, "lidar", rng.normal(size=(5, 3)), None, np.full(5, np.nan)),
         Course(np.array([[0.0, 0.0], [5.0, 1.0]]), np.array([2.0, 3.0])),
     ):
         same(record, from_fields(type(record), unpacked(pack_fields(record, more=None))))
-    plan, prediction = TimedPlan(1.0, 0.9, torch.rand(5, 3)), Prediction(1.0, rng.normal(size=(5, 6)))
-    values = unpacked(rings.pack_plan(plan, prediction, empty=False))
-    same(plan, rings.plan_from(values)[0])
-    same(prediction, rings.plan_from(values)[1])
+    planned = plan(1.0)
+    values = unpacked(rings.pack_plan(*planned, empty=False))
+    for one, other in zip(planned, rings.plan_from(values), strict=True):
+        same(one, other)
     assert values["empty"] is False
-    layers = TerrainLayers(np.zeros(2), 0.5, flat, np.zeros((3, 4, 3)), flat, flat, flat, np.zeros((3, 4, 2)), flat,
-                           yes, yes, yes)  # fmt: skip
-    same(layers, rings.layers_from(unpacked(rings.pack_layers(layers, scan_time=1.0))))
+    same(layers(4), rings.layers_from(unpacked(rings.pack_layers(layers(4), scan_time=1.0))))
     assert rings.layers_from(unpacked(rings.pack_layers(None))) is None
     with pytest.raises(NotImplementedError):
         packed({"code": print})

@@ -6,7 +6,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from offpiste.cli import main
+from cli.command import refusal
 from offpiste.closed_loop.courses import choose_course
 from offpiste.live import simulated_robot
 from offpiste.live.simulated_robot import COURSE, RemoteCommands, SimulatedRobot
@@ -89,10 +89,7 @@ def test_the_vehicle_and_the_noise_of_positions_are_options(place, tmp_path):
     ],
 )
 def test_invalid_options_are_refused(options, what, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["simulate", "--live", *options.split()])
-    assert ended.value.code == 1
-    assert what in capsys.readouterr().err
+    assert what in refusal(capsys, "simulate", "--live", *options.split())
 
 
 @pytest.mark.parametrize(

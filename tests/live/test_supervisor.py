@@ -13,22 +13,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
-from live.synthetic_robot import ACKERMANN, ENABLE, live_settings
-from live.test_part import flat
+from live.synthetic_robot import ACKERMANN, ENABLE, live_settings, plan, reading
 from offpiste.live import supervisor
 from offpiste.live.part import STAMP
 from offpiste.live.ring import pack_fields, pack_layers, pack_plan, packed, unpacked
 from offpiste.live.session import DIAGNOSTICS, MAP, PLAN, RecordSettings, new_session
 from offpiste.live.supervisor import ERROR, OK, Supervisor, notify, plan_message
 from offpiste.logs.ros.writer import header, make
-from offpiste.planning.course import Course
-from offpiste.runtime.estimator import VehicleReading
-from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.settings import RuntimeSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
+from planning_maps import layers
+from runtime.stream import course
 from transport.routers import Network, network, until
 
 __all__ = ["network"]
@@ -50,8 +47,7 @@ class Drive:
         self.rings = {
             name: self.session.ring(name) for name in ("readings", "course", "plans", "map-state", "commands", "clock")
         }
-        x = np.arange(0.0, 60.0)
-        self.rings["course"].write(pack_fields(Course(np.stack((x, 0 * x), axis=1), np.full(60, 4.0))))
+        self.rings["course"].write(pack_fields(course(speed=4.0)))
         self.supervisor = Supervisor(self.session, self.network.session(), names)
         self.supervisor.start()
 
@@ -65,14 +61,11 @@ class Drive:
         now = self.clock()
         self.rings["clock"].write(STAMP.pack(now, time.monotonic()))
         if reads:
-            place, turn = np.array((self.at + self.speed * (now % 10), 0, 0)), np.array((0, 0, 0, 1.0))
-            reading = VehicleReading(now, place, turn, np.array((self.speed, 0, 0)), 0.0, np.zeros(4))
-            self.rings["readings"].write(pack_fields(reading, control=None, came=time.monotonic()))
+            read = reading(now, self.at + self.speed * (now % 10), self.speed)
+            self.rings["readings"].write(pack_fields(read, control=None, came=time.monotonic()))
         self.rings["map-state"].write(packed({"scan_time": now, "image_time": np.inf}))
         if plans:
-            plan = TimedPlan(now, now, torch.tensor([[0.4, 0.0, 0.2]]).repeat(250, 1), self.gear)
-            states = np.tile((0.0, 0, 0, 2.0, 0, 0), (250, 1))
-            self.rings["plans"].write(pack_plan(plan, Prediction(now, states), empty=False, stuck=False))
+            self.rings["plans"].write(pack_plan(*plan(now, gear=self.gear), empty=False, stuck=False))
 
     def run(self, seconds, **options):
         """Feed and supervise the processes for some time; return their last states."""
@@ -252,24 +245,20 @@ def test_the_switch_must_be_pressed_with_a_recent_stamp_by_one_publisher(tmp_pat
         assert state.endswith("more than one publisher of the enable topic")
 
 
-AHEAD = np.zeros((20, 6))
-AHEAD[:, 0] = np.linspace(0.0, 3.8, 20)
-
-
 def test_a_plan_lies_on_the_ground_in_the_frame_of_the_poses(tmp_path, network):
-    height = np.tile((0.0, 1.0, 3.0, np.nan), (3, 1))
-    poses = plan_message(Prediction(1.0, AHEAD), 0, "odom", replace(flat(3, 4), elevation=height)).poses
+    ahead = Prediction(1.0, np.linspace((0.0,) * 6, (3.8, 0, 0, 0, 0, 0), 20))
+    ground = replace(layers(4), origin=np.zeros(2), elevation=np.tile((0.0, 1.0, 3.0, np.nan), (4, 1)))
+    poses = plan_message(ahead, 0, "odom", ground).poses
     places = [(round(pose.pose.position.x, 6), pose.pose.position.z) for pose in poses]
     assert places == [(0.0, 0.0), (1.0, 3.0), (2.0, 3.0), (3.0, 3.0)], "off the map, as at its edge"
-    assert plan_message(Prediction(1.0, AHEAD), 0, "odom", None).poses[-1].pose.position.z == 0.0
+    assert plan_message(ahead, 0, "odom", None).poses[-1].pose.position.z == 0.0
     heard, transport = [], network.session()
     transport.publisher = lambda topic, *_, **__: lambda message: heard.append((topic, message))
     with new_session(live_settings(tmp_path)) as session:
         reports = Supervisor(session, transport, ())
         for numbers in ({"frame": "odom"}, {"frame": ""}):
-            session.ring("map").write(pack_layers(flat(3, 4), scan_time=1.0))
-            plan = TimedPlan(1.0, 1.0, torch.zeros(20, 3))
-            session.ring("plans").write(pack_plan(plan, Prediction(1.0, AHEAD), empty=False, stuck=False))
+            session.ring("map").write(pack_layers(ground, scan_time=1.0))
+            session.ring("plans").write(pack_plan(*plan(1.0), empty=False, stuck=False))
             reports.report({"receive": (OK, "ready", numbers)})
     frames = [message.header.frame_id for topic, message in heard if topic in (PLAN, MAP)]
     assert frames == ["odom", "odom", "map", "map"]

@@ -9,9 +9,8 @@ from functools import partialmethod
 
 import numpy as np
 import pytest
-import torch
 
-from live.synthetic_robot import live_settings
+from live.synthetic_robot import live_settings, plan, reading
 from offpiste.live.part import Part
 from offpiste.live.ring import pack_fields, pack_layers, pack_plan, packed
 from offpiste.live.session import new_session
@@ -19,15 +18,11 @@ from offpiste.live.supervisor import Supervisor
 from offpiste.live.view import LIFT, Showing, shown_ground, view
 from offpiste.live.viewers import VIEWERS, Viewer
 from offpiste.logs.measurements import Image
-from offpiste.planning.course import Course
-from offpiste.runtime.estimator import VehicleReading
-from offpiste.runtime.follower import TimedPlan
-from offpiste.runtime.prediction import Prediction
 from planning_maps import layers
+from runtime.stream import course
 from transport.routers import free_port, network, until
 
 __all__ = ["network"]
-X = np.arange(0.0, 60.0)
 
 
 class Notes(Viewer):
@@ -56,16 +51,6 @@ def lines_of(notes, name):
     return [(at, line) for kind, at, line in notes.of("line") if kind == name]
 
 
-def reading(now, x=1.0):
-    return VehicleReading(now, np.array((x, 0, 2.0)), np.array((0, 0, 0, 1.0)), np.zeros(3), 0.0, np.zeros(4))
-
-
-def plan_at(now, speed=2.0):
-    states = np.zeros((250, 6))
-    states[:, 0], states[:, 3] = 1.0 + speed * 0.02 * np.arange(1, 251), speed
-    return TimedPlan(now, now - 0.1, torch.tensor([[0.4, 0.0, 0.2]]).repeat(250, 1)), Prediction(now, states)
-
-
 @contextmanager
 def showing(folder, viewer):
     with new_session(live_settings(folder)) as session:
@@ -73,12 +58,12 @@ def showing(folder, viewer):
         yield part, Showing(part, viewer)
 
 
-def feed(session, now, plan=None):
+def feed(session, now):
     """Write the values of the other processes; the ground slopes along x."""
-    session.ring("readings").write(pack_fields(reading(now), control=None))
-    session.ring("course").write(pack_fields(Course(np.stack((X, 0 * X), axis=1), np.full(60, 4.0))))
+    session.ring("readings").write(pack_fields(reading(now, 1.0), control=None))
+    session.ring("course").write(pack_fields(course(speed=4.0)))
     session.ring("map").write(pack_layers(layers(plane=(0.5, 0.0)), scan_time=now - 0.2, image_time=np.inf))
-    session.ring("plans").write(pack_plan(*(plan or plan_at(now)), empty=False, stuck=False))
+    session.ring("plans").write(pack_plan(*plan(now), empty=False, stuck=False))
     session.ring("commands").write(packed({"time": now, "applied": np.array((0.4, 0.0, -0.2)), "mode": "driving"}))
     session.ring("images").write(pack_fields(Image(now, "front", np.full((4, 6, 3), 7, np.uint8))))
     status = {"state": "stopping: no plan", "tick_p99_ms": 4.0, "map_age_p99_ms": np.nan, "speed_mps": 1.5}
@@ -93,14 +78,14 @@ def test_each_element_of_a_drive_is_shown_on_the_ground(tmp_path):
         feed(part.session, now)
         shown.update()
     assert notes.of("pose")[0][0].position[0] == 1.0
-    course = lines_of(notes, "course")[-1][1].places
-    on_map = course[:, 0] <= 20
-    np.testing.assert_allclose(course[on_map, 2], 0.5 * course[on_map, 0] + LIFT, atol=0.26)
-    np.testing.assert_allclose(course[~on_map, 2], 2.0 + LIFT, err_msg="off the map: the vehicle's height")
-    ((_, plan),) = lines_of(notes, "plan")
-    assert plan.places.shape == (50, 3)
-    np.testing.assert_allclose(plan.places[:, 0], 1.04 + 0.2 * np.arange(50))
-    assert len(np.unique(plan.colours, axis=0)) == 1, "of one speed"
+    line = lines_of(notes, "course")[-1][1].places
+    on_map = line[:, 0] <= 20
+    np.testing.assert_allclose(line[on_map, 2], 0.5 * line[on_map, 0] + LIFT, atol=0.26)
+    np.testing.assert_allclose(line[~on_map, 2], 0.33 + LIFT, err_msg="off the map: the vehicle's height")
+    ((_, planned),) = lines_of(notes, "plan")
+    assert planned.places.shape == (50, 3)
+    np.testing.assert_allclose(planned.places[:, 0], 1.04 + 0.2 * np.arange(50))
+    assert len(np.unique(planned.colours, axis=0)) == 1, "of one speed"
     assert notes.of("image")[0][0].pixels.shape == (4, 6, 3)
     assert notes.of("mode") == [(pytest.approx(now, abs=60), "stopping", "no plan")]
     numbers = {kind: values for _, kind, values in notes.of("numbers")}

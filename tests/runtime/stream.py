@@ -30,8 +30,9 @@ FLAT = Terrain.of(torch.tensor([0.0, 0.0, 1.0]).expand(1, 4, 3))
 FEATURES = 3
 
 
-def parametric():
-    return Parametric(Vehicle(1150.0, 2.06, 0.5, CONTROL, ())).eval()
+def parametric(*more):
+    """The parametric model, with further controls."""
+    return Parametric(Vehicle(1150.0, 2.06, 0.5, (*CONTROL, *more), ())).eval()
 
 
 def feature_model():
@@ -76,14 +77,14 @@ class Stream:
     geared: bool = False
 
     def run(self, seconds):
-        """Continue the drive; returns the controls since the start."""
+        """Continue the drive; returns the stream."""
         empty = torch.zeros(1, 0)
         if not self.states:
             self.model_state = ModelState(torch.tensor([self.state]), torch.full((1, 4), torch.nan), empty)
         with torch.no_grad():
             for row in range(len(self.controls), len(self.controls) + round(seconds / DT)):
                 self._step(row)
-        return self.controls
+        return self
 
     def _step(self, row):
         t = row * DT
@@ -113,11 +114,11 @@ class Held:
         return model_state
 
 
-def reading(t, x, y, yaw, vx, vy, rate):
+def reading(t, x=0.0, y=0.0, yaw=0.0, vx=0.0, vy=0.0, rate=0.0, *, actuators=np.nan):
     cos, sin = np.cos(yaw), np.sin(yaw)
     velocity = np.array((cos * vx - sin * vy, sin * vx + cos * vy, 0.0))
     quaternion = np.array((0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)))
-    return VehicleReading(t, np.array((x, y, 0.33)), quaternion, velocity, rate, np.full(4, np.nan))
+    return VehicleReading(t, np.array((x, y, 0.33)), quaternion, velocity, rate, np.full(4, actuators))
 
 
 def scan(t, height=0.0):
@@ -127,11 +128,12 @@ def scan(t, height=0.0):
     return Cloud(t, "lidar", ground, None, np.ones(len(ground)))
 
 
-def sensor_setup(*, with_camera=False, extractor=extract_features):
+def sensor_setup(extractor=None):
+    """A LiDAR, and a camera if its features are extracted."""
     mounting = np.eye(4)
     mounting[2, 3] = 2.0
     lidars = {"lidar": Lidar("lidar", mounting, LidarSource("/points"))}
-    return SensorSetup(lidars, {"eye": camera()}, extractor) if with_camera else SensorSetup(lidars)
+    return SensorSetup(lidars, {"eye": camera()}, extractor) if extractor else SensorSetup(lidars)
 
 
 def course(length=60.0, speed=5.0):
@@ -139,20 +141,9 @@ def course(length=60.0, speed=5.0):
     return Course(np.stack((x, np.zeros_like(x)), axis=1), np.full(len(x), speed))
 
 
-def straight_drive(
-    *,
-    with_camera=False,
-    dynamics=None,
-    extractor=extract_features,
-    length=60.0,
-    wanted=5.0,
-    seed=0,
-    spread=None,
-    stream=None,
-    **changed,
-):
-    """A stream for a run time on a straight course."""
-    model = dynamics or (feature_model() if with_camera else parametric())
-    seen, there = sensor_setup(with_camera=with_camera, extractor=extractor), course(length, wanted)
-    runtime = Runtime(model, seen, WHEELS, there, settings(**changed), seed=seed, spread=spread)
+def straight_drive(*, dynamics=None, camera=None, length=60.0, wanted=5.0, seed=0, spread=None, stream=None, **changed):
+    """A stream for a run time on a straight course; `camera` extracts features of its images."""
+    model = dynamics or (feature_model() if camera else parametric())
+    there, limited = course(length, wanted), settings(**changed)
+    runtime = Runtime(model, sensor_setup(camera), WHEELS, there, limited, seed=seed, spread=spread)
     return Stream(runtime, geared="gear" in model.vehicle.control_columns, **(stream or {}))

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from offpiste.core.conventions import CONTROL, DT
+from offpiste.core.conventions import DT
 from offpiste.core.errors import PlanningError
-from offpiste.dynamics import Parametric, Vehicle
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.course import Course
 from offpiste.runtime.backing_out import BackingOut, BackingOutSettings
 from offpiste.runtime.estimator import Given
 from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.prediction import model_state_after, reachable
-from runtime.stream import Held, straight_drive
+from runtime.stream import Held, parametric, straight_drive
 
 SETTINGS = BackingOutSettings(after=3.0, distance=4.0, longest=6.0, attempts=2)
 STRAIGHT = Course(np.stack((np.arange(-20.0, 60.0), np.zeros(80)), axis=1), np.full(80, 5.0))
@@ -187,21 +186,17 @@ def test_settings_that_are_not_positive_are_refused(name, value):
         BackingOutSettings(**{name: value})
 
 
-def geared():
-    return Parametric(Vehicle(1150.0, 2.06, 0.5, (*CONTROL, "gear"), ())).eval()
-
-
 def geared_drive(truth=None, **changed):
     """A drive of a model that knows a gear, in a vehicle that moves so or as `truth`."""
-    truth, state = truth or geared(), changed.pop("state", (0.0,) * 6)
-    return straight_drive(dynamics=geared(), wanted=3.0, stream={"truth": truth, "state": state}, **changed)
+    truth, state = truth or parametric("gear"), changed.pop("state", (0.0,) * 6)
+    return straight_drive(dynamics=parametric("gear"), wanted=3.0, stream={"truth": truth, "state": state}, **changed)
 
 
 class Mud(Held):
     """Holds a geared vehicle over 2 m from some x on unless it reverses."""
 
     def __init__(self, begin=6.0):
-        self.free, self.gears, self.begin = geared(), [], begin
+        self.free, self.gears, self.begin = parametric("gear"), [], begin
 
     def step(self, model_state, command, terrain):
         self.gears.append(float(command[0, 3]))
@@ -214,8 +209,7 @@ class Mud(Held):
 
 
 def test_a_stuck_vehicle_backs_out_and_goes_around():
-    stream = geared_drive(Mud(), backing_out=BackingOutSettings(after=2.0))
-    stream.run(10.0)
+    stream = geared_drive(Mud(), backing_out=BackingOutSettings(after=2.0)).run(10.0)
     while stream.states[-1][0] < 9.5 and len(stream.states) < 950:
         stream.run(0.5)
     x, y = np.array([state[:2] for state in stream.states]).T
@@ -245,8 +239,7 @@ def test_far_behind_its_position_it_is_back_on_its_course():
 
 def test_a_plan_in_another_gear_starts_where_the_vehicle_then_is():
     # Until a plan acts the vehicle is driven in the gear before it.
-    stream = geared_drive(latency=0.3)
-    stream.run(1.5)
+    stream = geared_drive(latency=0.3).run(1.5)
     stream.runtime._maker._backing_out.update = lambda *_, **__: False
     stream.runtime._maker._backing_out.gear = -1.0
     stream.run(0.5)
@@ -275,15 +268,13 @@ def test_a_vehicle_that_does_not_get_free_gives_up_also_without_a_map_of_the_pla
 
 
 def test_a_model_without_a_gear_never_reverses():
-    stream = straight_drive(stream={"truth": Held()}, backing_out=BackingOutSettings(after=0.4, longest=0.4))
-    stream.run(2.0)
+    stream = straight_drive(stream={"truth": Held()}, backing_out=BackingOutSettings(after=0.4, longest=0.4)).run(2.0)
     assert all(controls.gear == 1.0 for controls in stream.controls)
     assert ("stopped", "stuck") not in stream.modes()
 
 
 def test_committed_controls_brake_until_the_gear_is_engaged():
-    stream = geared_drive()
-    stream.run(2.0)
+    stream = geared_drive().run(2.0)
     follower = stream.runtime.follower
     follower.schedule.add(TimedPlan(2.0, 2.0, torch.full((250, 3), 0.25), -1.0))
     committed = follower.committed(2.0, 2.2, stream.runtime._track.rows(2.0 - DT))
@@ -298,8 +289,7 @@ def test_plans_start_from_the_control_and_gear_of_another_driver(monkeypatch):
         return model_state_after(*given)
 
     monkeypatch.setattr("offpiste.runtime.plan_maker.model_state_after", noticed)
-    stream = geared_drive()
-    stream.run(1.0)
+    stream = geared_drive().run(1.0)
     follower, given = stream.runtime.follower, np.array((0.0, 0.6, -0.5))
     assert follower.engaged == 1.0
     follower.driver = Given(given, -1.0)

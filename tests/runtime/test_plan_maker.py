@@ -33,8 +33,7 @@ def unsure_when_fast():
 def test_plans_are_slower_where_fast_ones_are_unsure():
     ends = {}
     for risk in (AsPredicted(), AddSpread(2.0)):
-        stream = straight_drive(spread=unsure_when_fast(), risk=risk)
-        stream.run(1.0)
+        stream = straight_drive(spread=unsure_when_fast(), risk=risk).run(1.0)
         ends[risk.kind] = np.mean([p.state[-1, 3] for p in stream.runtime.predictions[-4:]])
     assert ends["spread"] < ends["none"] - 0.5
 
@@ -55,8 +54,7 @@ def test_plans_leave_nothing_to_garbage_collection():
     code = """if True:
         import gc
         from runtime.stream import straight_drive
-        stream = straight_drive()
-        stream.run(1.0)
+        stream = straight_drive().run(1.0)
         gc.collect()
         gc.disable()
         plans = len(stream.runtime.predictions)

@@ -2,17 +2,17 @@
 
 from dataclasses import asdict
 
-import numpy as np
 import pytest
 import torch
 
+from feature_datasets import random_pca
 from offpiste.core.checksums import sha256_of
 from offpiste.core.conventions import CONTROL
 from offpiste.core.errors import PlanningError, RunError
 from offpiste.dynamics import Vehicle
 from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.backbones import open_backbone
-from offpiste.perception.pca import PrincipalComponents, save_pca
+from offpiste.perception.pca import save_pca
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.perception import SensorSetup
 from offpiste.runtime.planner import load_planner, warm_up
@@ -23,22 +23,13 @@ from offpiste.training.losses import COMPONENTS
 from offpiste.training.run import build, differing_vehicle
 from offpiste.uncertainty.fit import FILE
 from offpiste.uncertainty.spread import Spread, inputs_of
-from runtime.stream import WHEELS, feature_model, parametric, sensor_setup, settings
+from runtime.stream import WHEELS, extract_features, feature_model, parametric, sensor_setup, settings
 
 BACKBONE = open_backbone("filterbank")
 
 
 def pca_file(path, seed):
-    basis = np.linalg.qr(np.random.default_rng(seed).normal(size=(BACKBONE.channels, 4)))[0].astype(np.float32)
-    pca = PrincipalComponents(
-        mean=np.zeros(BACKBONE.channels, np.float32),
-        basis=basis,
-        variance=np.ones(4, np.float32),
-        total_variance=8.0,
-        backbone=BACKBONE.name,
-        fingerprint=BACKBONE.fingerprint,
-        fitted_on={},
-    )
+    pca = random_pca(BACKBONE, seed)
     save_pca(path, pca)
     return pca.identity
 
@@ -111,8 +102,8 @@ def test_another_vehicle_is_described_and_a_similar_one_is_not():
     assert differing_vehicle(other, own) == f"mass {2 * own.mass:.4g} kg, not {own.mass:.4g}"
 
 
-@pytest.mark.parametrize(("make", "with_camera"), [(parametric, False), (feature_model, True)])
-def test_a_warm_up_plans_with_any_model(monkeypatch, make, with_camera):
+@pytest.mark.parametrize(("make", "extractor"), [(parametric, None), (feature_model, extract_features)])
+def test_a_warm_up_plans_with_any_model(monkeypatch, make, extractor):
     made, plan = [], Runtime._plan
 
     def keep(self, *given):
@@ -122,7 +113,7 @@ def test_a_warm_up_plans_with_any_model(monkeypatch, make, with_camera):
     monkeypatch.setattr(Runtime, "_plan", keep)
     model = make()
     before = {name: weights.clone() for name, weights in model.state_dict().items()}
-    warm_up(model, sensor_setup(with_camera=with_camera), WHEELS, settings())
+    warm_up(model, sensor_setup(extractor), WHEELS, settings())
     assert made
     assert made[0].predictions
     assert not made[0].failures

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from offpiste.core.conventions import CONTROL
-from offpiste.dynamics import Parametric, Vehicle
 from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.runtime import prediction
 from offpiste.runtime.estimator import TrackRows
 from offpiste.runtime.prediction import coded_area, model_state_after, model_state_of
 from planning.test_kernel import model, start
 from planning_maps import layers, situation
+from runtime.stream import parametric
 
 ORIGIN = torch.zeros(2, dtype=torch.float64)
 
@@ -68,7 +67,7 @@ def test_models_without_features_read_none():
 
 
 def test_the_past_is_read_in_the_gear_that_it_was_driven_in(monkeypatch):
-    model, given = Parametric(Vehicle(1150.0, 2.06, 0.5, (*CONTROL, "gear"), ())).eval(), []
+    model, given = parametric("gear"), []
     gears = np.array([np.nan, -1.0, -1.0, *8 * [1.0]])
     rows = TrackRows(np.zeros((11, 6)), np.full((11, 4), np.nan), np.full((11, 3), 0.5), gears)
     start = model.start

@@ -29,8 +29,7 @@ def commands(stream):
 
 @pytest.fixture(scope="module")
 def driven():
-    stream = straight_drive()
-    stream.run(4.0)
+    stream = straight_drive().run(4.0)
     return stream
 
 
@@ -82,8 +81,7 @@ def test_commands_and_plans_do_not_depend_on_what_is_measured_later(leak):
 @pytest.mark.parametrize("latency", [0.0, 0.3])
 def test_a_plan_starts_where_the_vehicle_then_is(latency):
     # The vehicle moves as the model says, so predictions must be met: committed controls, warm start, all of it.
-    stream = straight_drive(latency=latency)
-    stream.run(1.5)
+    stream = straight_drive(latency=latency).run(1.5)
     checked = 0
     for plan in stream.runtime.predictions:
         first = round(plan.time / DT)
@@ -99,8 +97,7 @@ def test_a_plan_starts_where_the_vehicle_then_is(latency):
 
 
 def test_a_clock_that_goes_back_restarts_everything():
-    stream = straight_drive()
-    stream.run(1.5)
+    stream = straight_drive().run(1.5)
     before = stream.runtime.course_tracker.progress
     for row in range(60):  # the same runtime on another clock, 1 s behind, at the begin of its course
         t = 0.5 + row * DT
@@ -129,8 +126,7 @@ def test_after_a_pose_that_jumps_the_vehicle_may_be_anywhere_on_its_course():
 
 
 def test_without_scans_it_slows_down_and_stops():
-    stream = straight_drive(slow=1.0, stream={"scans": lambda t: t < 2.0})
-    stream.run(2.86)
+    stream = straight_drive(slow=1.0, stream={"scans": lambda t: t < 2.0}).run(2.86)
     assert stream.modes()[-1] == ("degraded", "late scan")
     pedal = commands(stream)[:, 0] - commands(stream)[:, 1]
     assert pedal[round(1.9 / DT) : round(2.4 / DT)].mean() > 0.3
@@ -143,8 +139,7 @@ def test_without_scans_it_slows_down_and_stops():
 
 
 def test_a_stop_is_completed_before_it_drives_away():
-    stream = straight_drive(stream={"reads": lambda t: not 1.0 <= t < 1.3})
-    stream.run(3.2)
+    stream = straight_drive(stream={"reads": lambda t: not 1.0 <= t < 1.3}).run(3.2)
     why = "no state of the vehicle"
     assert stream.modes()[-2:] == [("stopping", why), ("driving", "")]
     lost = commands(stream)[round(1.12 / DT) : round(1.3 / DT)]
@@ -154,8 +149,7 @@ def test_a_stop_is_completed_before_it_drives_away():
 
 
 def test_plans_made_during_a_stop_start_from_the_braked_vehicle():
-    stream = straight_drive(stream={"reads": lambda t: not 1.5 <= t < 1.8}, latency=0.3)
-    stream.run(2.9)
+    stream = straight_drive(stream={"reads": lambda t: not 1.5 <= t < 1.8}, latency=0.3).run(2.9)
     rows = [(round(p.time / DT) + 1, p.state[0]) for p in stream.runtime.predictions if 2.05 < p.time < 2.75]
     assert len(rows) >= 5
     for row, planned in rows:
@@ -164,8 +158,7 @@ def test_plans_made_during_a_stop_start_from_the_braked_vehicle():
 
 
 def test_an_empty_map_stops_it():
-    stream = straight_drive()
-    stream.run(1.5)
+    stream = straight_drive().run(1.5)
     stream.runtime.forget_map()
     stream.height = 1000.0  # echoes far above
     stream.run(0.2)
@@ -176,8 +169,7 @@ def test_an_empty_map_stops_it():
 
 
 def test_a_plan_that_fails_leaves_the_last_one_for_a_while(monkeypatch):
-    stream = straight_drive()
-    stream.run(1.5)
+    stream = straight_drive().run(1.5)
     planned = stream.runtime.follower.schedule.latest.controls
 
     def fails(*_, **__):
@@ -198,15 +190,13 @@ def test_a_plan_that_fails_leaves_the_last_one_for_a_while(monkeypatch):
 
 
 def test_it_stops_at_the_end_of_its_course():
-    stream = straight_drive(length=8.0)
-    stream.run(6.5)
+    stream = straight_drive(length=8.0).run(6.5)
     assert stream.modes()[-1] == ("stopped", "end of the course")
     assert 5.0 < stream.states[-1][0] < 14.0
 
 
 def test_without_images_it_continues_in_degraded_mode():
-    stream = straight_drive(with_camera=True, stream={"images": lambda t: t < 1.2})
-    stream.run(1.5)
+    stream = straight_drive(camera=extract_features, stream={"images": lambda t: t < 1.2}).run(1.5)
     layers = stream.runtime._mapper.layers()
     assert layers.features.shape[2] == 4  # codes of 3 features
     assert layers.valid.sum() > 100
@@ -226,8 +216,7 @@ def test_features_that_are_not_finite_count_as_no_image():
     def extractor(pixels):
         return np.full_like(extract_features(pixels), np.nan) if broken else extract_features(pixels)
 
-    stream = straight_drive(with_camera=True, extractor=extractor)
-    stream.run(1.0)
+    stream = straight_drive(camera=extractor).run(1.0)
     broken.append(True)
     stream.run(2.2)
     assert stream.modes()[-1] == ("degraded", "no image")
@@ -242,8 +231,7 @@ def test_slow_odometry_drives_where_it_is_expected_and_comes_after_the_scans():
 
     modes = []
     for timeouts in (Timeouts(), Timeouts(state=0.6, scan=1.0, scan_limit=1.5)):
-        stream = straight_drive(timeouts=timeouts, stream={"reads": slow})
-        stream.run(4.0)
+        stream = straight_drive(timeouts=timeouts, stream={"reads": slow}).run(4.0)
         modes.append(stream.modes()[-1])
     assert modes[0] == ("stopped", "no state of the vehicle")
     assert modes[1] == ("driving", "")
@@ -252,8 +240,7 @@ def test_slow_odometry_drives_where_it_is_expected_and_comes_after_the_scans():
 
 
 def test_messages_that_cannot_be_used_are_dropped_and_counted():
-    stream = straight_drive(with_camera=True)
-    stream.run(2.0)
+    stream = straight_drive(camera=extract_features).run(2.0)
     driver, pixels = stream.runtime, np.full((98, 140, 3), 120, np.uint8)
     driver.image(Image(1.4, "eye", pixels))  # older than the last: 1.5
     driver.image(Image(1.9, "eye", pixels))  # late, but newer than the last: counts with its own stamp
@@ -286,8 +273,7 @@ def test_messages_that_cannot_be_used_are_dropped_and_counted():
 
 
 def test_a_pose_that_jumps_empties_the_map():
-    stream = straight_drive()
-    stream.run(1.5)
+    stream = straight_drive().run(1.5)
     assert stream.runtime._mapper.layers().known.any()
     stream.scans = lambda t: False
     stream.model_state = replace(

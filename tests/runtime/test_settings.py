@@ -42,7 +42,7 @@ def test_plans_respect_the_limits_of_commands():
     for limits in (CommandLimits(), CommandLimits(throttle=0.3, steer=0.05, speed=2.0)):
         narrowed = keeping_to(settings(), limits)
         stream = straight_drive(sampling=narrowed.sampling, speed=narrowed.speed)
-        controls = np.array([each.command for each in stream.run(3.0)])
+        controls = np.array([each.command for each in stream.run(3.0).controls])
         assert controls[:, 0].max() <= limits.throttle + 1e-6
         assert abs(controls[:, 2]).max() <= limits.steer + 1e-6
         fast.append(np.mean([each.state[-1, 3] for each in stream.runtime.predictions[-4:]]))

@@ -41,9 +41,11 @@ def test_the_clearly_cheaper_plan_acts_and_each_way_continues_its_own(cheaper, m
     monkeypatch.setattr("offpiste.runtime.plan_maker.PlanImprover", Priced)
     runtime = Runtime(parametric(), sensor_setup(), WHEELS, parted(8.0), settings())
     stream = Stream(runtime)
-    assert stream.run(0.6)[-1].command[2] == pytest.approx((-0.2, 0.3)[cheaper])
+    assert stream.run(0.6).controls[-1].command[2] == pytest.approx((-0.2, 0.3)[cheaper])
     later = runtime._maker._improver.begun[2:]
     assert {number for number, _ in later} == {0, 1}
     assert all(began == pytest.approx((-0.2, 0.3)[number]) for number, began in later)
     monkeypatch.setattr(Priced, "prices", (1.0, 0.5) if cheaper == 0 else (0.5, 1.0))
-    assert stream.run(0.6)[-1].command[2] == pytest.approx((-0.2, 0.3)[cheaper]), "cheaper by less than the temperature"
+    assert stream.run(0.6).controls[-1].command[2] == pytest.approx((-0.2, 0.3)[cheaper]), (
+        "cheaper by less than the temperature"
+    )

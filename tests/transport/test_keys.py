@@ -8,15 +8,7 @@ from zenoh_ros2_sdk import keyexpr
 from zenoh_ros2_sdk.entity import EndpointEntity, EntityKind, NodeEntity
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 
-from offpiste.transport.keys import (
-    Address,
-    Attachment,
-    BridgeKeys,
-    RmwZenohKeys,
-    attachment_of,
-    dds_type,
-    ros_type,
-)
+from offpiste.transport.keys import Address, Attachment, BridgeKeys, RmwZenohKeys, attachment_of, dds_type, ros_type
 
 HASH = "RIHS01_" + "0" * 64
 TOPIC = Address("/camera/image", "sensor_msgs/msg/Image", HASH)

@@ -23,9 +23,10 @@ def test_the_rig_of_a_recording_gives_the_truth_back(seed):
     def error(column, values):
         return np.sqrt(np.mean((column[valid] - np.interp(rows_time, truth.time, values)) ** 2))
 
-    rate = truth.angular_velocity[:, 2]
-    assert error(rows.state[:, 3], np.hypot(*truth.velocity[:, :2].T)) < 0.15
-    assert error(rows.state[:, 4], ahead * rate) < 0.15
+    rate, heading = truth.angular_velocity[:, 2], yaw_from_quaternion(truth.orientation)
+    east, north = truth.velocity[:, :2].T
+    assert error(rows.state[:, 3], np.cos(heading) * east + np.sin(heading) * north) < 0.15
+    assert error(rows.state[:, 4], np.cos(heading) * north - np.sin(heading) * east + ahead * rate) < 0.15
     assert error(rows.state[:, 5], rate) < 0.1
     assert error(rows.control[:, 2], truth.command[:, 2]) < 0.05
     if case.has("steer_angle"):
