@@ -75,7 +75,7 @@ SLOW = (
     "core/test_cluster.py::", "dataset/test_extract.py::test_logs_in_an_object_store",
     "test_bombs.py::", "test_poison.py::",
     "test_benchmarks.py::test_inspection", "test_benchmarks.py::test_the_pictures", "test_benchmarks.py::test_training",
-    "test_kill.py::test_a_killed_training_and_simulation",
+    "test_kill.py::test_a_killed_job",
     "rig/test_rig.py::test_the_proving_grounds_rig_masks", "training/test_distributed.py::test_a_process_that",
 )  # fmt: skip
 """Tests that only `.ci/full` runs, except those in `SMOKE`."""

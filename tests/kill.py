@@ -1,6 +1,5 @@
-"""Jobs that are killed at random times and repeated leave the same bytes as others: `python -m tests.kill`."""
+"""Jobs that are killed and repeated: simulation, extraction, training, and driving."""
 
-import argparse
 import hashlib
 import json
 import os
@@ -8,17 +7,12 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
-
-ROOT = Path(__file__).parents[1]
-READY = "ready\n"
 
 DURATIONS = {"metrics.jsonl": {"seconds"}, "result.json": {"stages"}}
 """Entries of files that contain durations."""
@@ -146,92 +140,35 @@ def _timeless(file: Path) -> bytes:
 def start(name: str, inputs: Path, out: Path) -> subprocess.Popen[str]:
     """Start a job in a new process and wait until it has imported its modules."""
     out.mkdir(parents=True, exist_ok=True)
-    path = os.pathsep.join((str(ROOT), str(ROOT / "tests"), *filter(None, sys.path)))
+    module, work = WORK[name]
+    code = f"import sys, pathlib, {module}, kill; print('ready', flush=True)\n"
+    code += f"kill.{work.__name__}(*map(pathlib.Path, sys.argv[1:]))"
+    path = os.pathsep.join((str(Path(__file__).parent), *filter(None, sys.path)))
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.kill", "--work", name, str(inputs), str(out)],
-        cwd=ROOT, env=os.environ | {"PYTHONPATH": path}, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        start_new_session=True, text=True,
+        [sys.executable, "-c", code, str(inputs), str(out)], env=os.environ | {"PYTHONPATH": path},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, text=True,
     )  # fmt: skip
     assert process.stdout is not None
-    if process.stdout.readline() != READY:
-        raise RuntimeError(process.communicate()[1])
+    assert process.stdout.readline() == "ready\n", process.communicate()[1]
     return process
 
 
 def finish(process: subprocess.Popen[str]) -> None:
     """Wait for a job to finish."""
     error = process.communicate()[1]
-    if process.returncode:
-        raise RuntimeError(error)
+    assert process.returncode == 0, error
 
 
-def kill_at(name: str, inputs: Path, out: Path, moment: float) -> bool:
-    """Start a job, kill it after `moment` seconds, and repeat it; returns whether it was still running."""
+def kill_at(name: str, inputs: Path, out: Path, moment: float) -> None:
+    """Start a job, kill it after `moment` seconds, and repeat it."""
     process = start(name, inputs, out)
     time.sleep(moment)
-    at_work = process.poll() is None
-    if at_work:
+    if process.poll() is None:
         os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     finish(start(name, inputs, out))
-    return at_work
 
 
 def differences(one: dict[str, str], other: dict[str, str]) -> list[str]:
     """Return the names of files that differ."""
     return sorted(name for name in one.keys() | other.keys() if one.get(name) != other.get(name))
-
-
-def kill_often(name: str, inputs: Path, folder: Path, moments: int, seed: int) -> list[str]:
-    """Return a line for each kill after which files differ."""
-    began = time.perf_counter()
-    finish(start(name, inputs, folder / "first"))  # compiles kernels
-    process = start(name, inputs, folder / "whole")
-    ready = time.perf_counter()
-    finish(process)
-    seconds = time.perf_counter() - ready
-    wanted, killed = contents(folder / "whole"), 0
-    different = differences(wanted, contents(folder / "first"))
-    wrong = [f"{name}, done twice: {', '.join(different)}"] if different else []
-    print(*wrong, sep="\n", end="\n" if wrong else "", flush=True)
-    for number, share in enumerate(np.random.default_rng(seed).random(moments)):
-        out = folder / f"killed-{number}"
-        killed += kill_at(name, inputs, out, float(share) * seconds)
-        if different := differences(wanted, contents(out)):
-            wrong.append(f"{name}, killed after {share * seconds:.2f} s: {', '.join(different[:5])}")
-            print(wrong[-1], flush=True)
-        shutil.rmtree(out)
-    print(
-        f"{name}: {len(wanted)} files, {seconds:.1f} s; killed at {killed} of {moments} moments, "
-        f"{len(wrong)} with another result; {time.perf_counter() - began:.0f} s in all",
-        flush=True,
-    )
-    return wrong
-
-
-def main() -> int:
-    """Parse arguments and run all jobs, or one job for `start`."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--moments", type=int, default=20, help="number of kills of each job")
-    parser.add_argument("--only", nargs="*", default=list(WORK), choices=list(WORK))
-    parser.add_argument("--seed", type=int, default=0, help="seed of the kill times")
-    parser.add_argument("--work", nargs=3, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.work:
-        name, inputs, out = given.work
-        module, work = WORK[name]
-        import_module(module)
-        print(READY, end="", flush=True)
-        work(Path(inputs), Path(out))
-        return 0
-    with tempfile.TemporaryDirectory(prefix="offpiste-kill-") as folder:
-        inputs = Path(folder) / "inputs"
-        inputs.mkdir()
-        make_inputs(inputs, given.only)
-        wrong = [kill_often(name, inputs, Path(folder) / name, given.moments, given.seed) for name in given.only]
-    return 1 if any(wrong) else 0
-
-
-if __name__ == "__main__":
-    sys.path[:0] = [str(ROOT / "src"), str(ROOT), str(ROOT / "tests")]
-    sys.exit(main())

@@ -88,26 +88,24 @@ def test_lists_of_tests_name_what_exists():
     assert not stale, stale
 
 
+def functions_in(node: ast.AST) -> list[ast.FunctionDef]:
+    return [each for each in ast.walk(node) if isinstance(each, ast.FunctionDef) and each is not node]
+
+
+FUNCTIONS = [(file.relative_to(ROOT), each) for file in SOURCES for each in functions_in(ast.parse(file.read_text()))]
+
+
 def test_functions_fit_on_a_screen():
-    long = [
-        (str(file.relative_to(ROOT)), node.name, node.end_lineno - node.lineno + 1)
-        for file in SOURCES
-        for node in ast.walk(ast.parse(file.read_text("utf-8")))
-        if isinstance(node, ast.FunctionDef) and (node.end_lineno or 0) - node.lineno + 1 > LONGEST_FUNCTION
-    ]
-    assert not long, long
+    lines = {f"{file} {node.name}": (node.end_lineno or 0) - node.lineno + 1 for file, node in FUNCTIONS}
+    assert not {name: count for name, count in lines.items() if count > LONGEST_FUNCTION}
 
 
 def test_functions_made_while_running_have_no_shapes_in_their_annotations():
     """Each shape would be a new class every time, which only a full garbage collection takes away."""
     shape = re.compile(r"\b[A-Z]\w+\[(Tensor|np\.ndarray), ")
     found = []
-    for file in SOURCES:
-        for outer in (
-            node for node in ast.walk(ast.parse(file.read_text("utf-8"))) if isinstance(node, ast.FunctionDef)
-        ):
-            for inner in (node for node in ast.walk(outer) if isinstance(node, ast.FunctionDef) and node is not outer):
-                written = [each.annotation for each in (*inner.args.args, *inner.args.kwonlyargs)] + [inner.returns]
-                if any(each is not None and shape.search(ast.unparse(each)) for each in written):
-                    found.append(f"{file.relative_to(ROOT)}:{inner.lineno} {inner.name}")
+    for file, inner in ((file, inner) for file, outer in FUNCTIONS for inner in functions_in(outer)):
+        written = [each.annotation for each in (*inner.args.args, *inner.args.kwonlyargs)] + [inner.returns]
+        if any(each is not None and shape.search(ast.unparse(each)) for each in written):
+            found.append(f"{file}:{inner.lineno} {inner.name}")
     assert not found, found

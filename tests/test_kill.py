@@ -1,16 +1,31 @@
-"""Work that is killed and done again leaves the same files as work that was not; `tests/kill.py` does more of it."""
+"""Killed and repeated work leaves the same files as work that was not killed: `KILLS=20 pytest tests/test_kill.py`."""
 
+import os
+import time
 from pathlib import Path
+
+import numpy as np
+import pytest
 
 import kill
 
+KILLS = {name: int(os.environ.get("KILLS", usual)) for name, usual in zip(kill.WORK, (1, 0, 2, 0), strict=True)}
+"""Number of random moments at which each job is killed."""
 
-def test_a_killed_training_and_simulation_end_as_others_do(tmp_path: Path) -> None:
-    (tmp_path / "inputs").mkdir()
-    works = {"train": 2, "simulate": 1}
-    kill.make_inputs(tmp_path / "inputs", works)
-    for name, moments in works.items():
-        assert kill.kill_often(name, tmp_path / "inputs", tmp_path / name, moments, seed=0) == []
+
+@pytest.mark.parametrize("name", [name for name, kills in KILLS.items() if kills])
+def test_a_killed_job_ends_as_others_do(name: str, tmp_path: Path) -> None:
+    (inputs := tmp_path / "inputs").mkdir()
+    kill.make_inputs(inputs, (name,))
+    kill.finish(kill.start(name, inputs, tmp_path / "first"))  # compiles kernels
+    process, began = kill.start(name, inputs, tmp_path / "whole"), time.perf_counter()
+    kill.finish(process)
+    seconds, whole = time.perf_counter() - began, kill.contents(tmp_path / "whole")
+    assert kill.differences(whole, kill.contents(tmp_path / "first")) == [], "done twice"
+    for number, share in enumerate(np.random.default_rng(0).random(KILLS[name])):
+        kill.kill_at(name, inputs, tmp_path / f"killed-{number}", share * seconds)
+        different = kill.differences(whole, kill.contents(tmp_path / f"killed-{number}"))
+        assert different == [], f"killed after {share * seconds:.2f} s"
 
 
 def test_a_difference_is_found(tmp_path: Path) -> None:

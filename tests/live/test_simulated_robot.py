@@ -2,6 +2,7 @@
 
 import threading
 from importlib import resources
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,31 +14,18 @@ from offpiste.live.simulated_robot import COURSE, RemoteCommands, SimulatedRobot
 from offpiste.logs.ros.writer import header, make
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
-from offpiste.transport.message_types import MessageTypes
-from offpiste.transport.received import Received, Tally
+from offpiste.transport.received import Received
 from offpiste.transport.zenoh_transport import ZenohTransport
 from synthetic_drive import samples
 
 WORLD = WorldSettings("dunes", 5, size=200.0, resolution=0.5)
 
 
-class Recorded(ZenohTransport):
+def recorded():
     """Transport that records published messages by topic."""
-
-    def __init__(self):
-        self.sent, self.heard, self.refused, self.types = {}, {}, Tally(), MessageTypes()
-
-    def publisher(self, topic, msgtype, *, keep=False):
-        return self.sent.setdefault(topic, []).append
-
-    def subscribe(self, topic, deliver, **_):
-        self.heard[topic] = deliver
-
-    def decode(self, message):
-        return self.message
-
-    def close(self):
-        pass
+    transport = Mock(spec=ZenohTransport, sent={})
+    transport.publisher.side_effect = lambda topic, *_, **__: transport.sent.setdefault(topic, []).append
+    return transport
 
 
 @pytest.fixture(scope="module")
@@ -52,12 +40,11 @@ def threads():
 
 def test_it_publishes_its_messages_and_follows_commands(place, monkeypatch):
     monkeypatch.setattr(simulated_robot, "OWN_STOP", 60.0)  # for a busy machine
-    transport, before = Recorded(), threads()
+    transport, before = recorded(), threads()
     robot = SimulatedRobot(transport, *place, "light", 0)
-    (deliver,) = transport.heard.values()
     axes, buttons = np.array((0.4, 0.0, 0.1)), np.zeros(0, np.int32)
-    transport.message = make("sensor_msgs/Joy", header=header(0, ""), axes=axes, buttons=buttons)
-    deliver(Received("/command", "sensor_msgs/msg/Joy", b"", 0.0))
+    transport.decode.return_value = make("sensor_msgs/Joy", header=header(0, ""), axes=axes, buttons=buttons)
+    transport.subscribe.call_args.args[1](Received("/command", "sensor_msgs/msg/Joy", b"", 0.0))
     driving = robot.drive(0.5)
     assert len(driving.samples) == 25
     for topic in ("/odometry", "/clock"):
@@ -72,7 +59,7 @@ def test_the_vehicle_and_the_noise_of_positions_are_options(place, tmp_path):
     file = tmp_path / "heavy.toml"
     shipped = (resources.files("offpiste.simulation.vehicle") / "side_by_side.toml").read_text()
     file.write_text(shipped.replace("\nmass = 1150.0", "\nmass = 2000.0"))
-    robot = SimulatedRobot(Recorded(), *place, "none", 0, vehicle=str(file), pose_noise=5.0)
+    robot = SimulatedRobot(recorded(), *place, "none", 0, vehicle=str(file), pose_noise=5.0)
     assert robot._parameters.mass == 2000.0
     driven = robot.drive(1.0).samples
     sent = np.array([(m.pose.pose.position.x, m.pose.pose.position.y) for m in robot._transport.sent["/odometry"]])
@@ -107,7 +94,7 @@ def test_a_fourth_axis_is_the_gear_and_invalid_axes_are_ignored(axes, given, mon
 @pytest.mark.parametrize("after", [0, 7])
 def test_an_interrupted_drive_ends_there_and_leaves_no_thread_behind(after, place, monkeypatch):
     before = threads()
-    robot = SimulatedRobot(Recorded(), *place, "light", 0)
+    robot = SimulatedRobot(recorded(), *place, "light", 0)
 
     def interrupted(steps, _):
         yield from steps[:after]

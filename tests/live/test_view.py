@@ -5,7 +5,7 @@ import signal
 import socket
 import time
 from contextlib import closing, contextmanager
-from functools import partialmethod
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -25,30 +25,9 @@ from transport.routers import free_port, network, until
 __all__ = ["network"]
 
 
-class Notes(Viewer):
-    """Viewer that records its calls, each after a delay [s]."""
-
-    def __init__(self, slow=0.0):
-        self.slow, self.given = slow, []
-
-    def _note(self, name, *given):
-        time.sleep(self.slow)
-        self.given.append((name, given))
-
-    pose = partialmethod(_note, "pose")
-    line = partialmethod(_note, "line")
-    ground = partialmethod(_note, "ground")
-    image = partialmethod(_note, "image")
-    mode = partialmethod(_note, "mode")
-    numbers = partialmethod(_note, "numbers")
-
-    def of(self, name):
-        return [given for kind, given in self.given if kind == name]
-
-
-def lines_of(notes, name):
+def lines_of(viewer, name):
     """Times and lines of the calls for the course or the plan."""
-    return [(at, line) for kind, at, line in notes.of("line") if kind == name]
+    return [(at, line) for kind, at, line in (call.args for call in viewer.line.call_args_list) if kind == name]
 
 
 @contextmanager
@@ -71,24 +50,24 @@ def feed(session, now):
 
 
 def test_each_element_of_a_drive_is_shown_on_the_ground(tmp_path):
-    notes, now = Notes(), time.time()
-    with showing(tmp_path, notes) as (part, shown):
+    viewer, now = Mock(spec=Viewer), time.time()
+    with showing(tmp_path, viewer) as (part, shown):
         shown.update()
-        assert not notes.given, "the vehicle's position is still unknown"
+        assert not viewer.method_calls, "the vehicle's position is still unknown"
         feed(part.session, now)
         shown.update()
-    assert notes.of("pose")[0][0].position[0] == 1.0
-    line = lines_of(notes, "course")[-1][1].places
+    assert viewer.pose.call_args.args[0].position[0] == 1.0
+    line = lines_of(viewer, "course")[-1][1].places
     on_map = line[:, 0] <= 20
     np.testing.assert_allclose(line[on_map, 2], 0.5 * line[on_map, 0] + LIFT, atol=0.26)
     np.testing.assert_allclose(line[~on_map, 2], 0.33 + LIFT, err_msg="off the map: the vehicle's height")
-    ((_, planned),) = lines_of(notes, "plan")
+    ((_, planned),) = lines_of(viewer, "plan")
     assert planned.places.shape == (50, 3)
     np.testing.assert_allclose(planned.places[:, 0], 1.04 + 0.2 * np.arange(50))
     assert len(np.unique(planned.colours, axis=0)) == 1, "of one speed"
-    assert notes.of("image")[0][0].pixels.shape == (4, 6, 3)
-    assert notes.of("mode") == [(pytest.approx(now, abs=60), "stopping", "no plan")]
-    numbers = {kind: values for _, kind, values in notes.of("numbers")}
+    assert viewer.image.call_args.args[0].pixels.shape == (4, 6, 3)
+    viewer.mode.assert_called_once_with(pytest.approx(now, abs=60), "stopping", "no plan")
+    numbers = {kind: values for _, kind, values in (call.args for call in viewer.numbers.call_args_list)}
     assert numbers["latencies"] == {"tick_p99_ms": 4.0}, "without NaN"
     assert numbers["command"] == {"throttle": 0.4, "brake": 0.0, "steer": -0.2}
     assert numbers["speed"] == {"speed": 1.5}
@@ -109,37 +88,31 @@ def test_known_cells_of_the_map_have_their_values_and_colours():
 
 
 def test_a_slow_viewer_is_shown_the_newest_messages(tmp_path):
-    notes = Notes(slow=0.05)
-    with showing(tmp_path, notes) as (part, shown):
+    viewer = Mock(spec=Viewer)
+    viewer.pose.side_effect = lambda _: time.sleep(0.3)
+    with showing(tmp_path, viewer) as (part, shown):
         began, written = time.monotonic(), 0
         while time.monotonic() - began < 1.5:
             for _ in range(10):
                 written += 1
                 feed(part.session, float(written))
             shown.update()
-        times = [at for at, _ in lines_of(notes, "plan")]
+        times = [at for at, _ in lines_of(viewer, "plan")]
     assert 2 <= len(times) <= written / 10
     assert all(time % 10 == 0 for time in times), "the newest available ones"
     assert times == sorted(set(times))
 
 
 def test_a_restarted_viewer_writes_another_file(tmp_path, monkeypatch):
-    places = []
-
-    class Writer(Notes):
-        def __init__(self, place, *_):
-            super().__init__()
-            places.append(place)
-            self.where = place
-
-    monkeypatch.setitem(VIEWERS._entries, "writer", Writer)
+    writer = Mock(return_value=Mock(spec=Viewer, where="there"))
+    monkeypatch.setitem(VIEWERS._entries, "writer", writer)
     begun = tmp_path / "drive.rrd"
     for place in (str(begun), "", "127.0.0.1:9876"):
         begun.write_bytes(b"of the killed one")
         with new_session(live_settings(tmp_path, view="writer", view_at=place)) as session:
             session.ring("end").write(b"end")
             view(session)
-    assert places == [str(tmp_path / "drive-2.rrd"), "", "127.0.0.1:9876"]
+    assert [call.args[0] for call in writer.call_args_list] == [str(tmp_path / "drive-2.rrd"), "", "127.0.0.1:9876"]
     assert begun.read_bytes() == b"of the killed one"
 
 
