@@ -6,6 +6,7 @@ import pathlib
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core; libraries read this when they are first imported
@@ -53,15 +54,15 @@ WHOLE_PATHS = (
     "inspection/test_late_poses.py", "inspection/test_message", "inspection/test_pedals.py", "inspection/test_pose.py",
     "inspection/test_re", "inspection/test_s",
     "closed_loop/test_drive_course.py", "runtime/test_backing_out.py",
-    "runtime/test_runtime.py", "runtime/test_settings.py", "simulation/test_recorder.py",
+    "runtime/test_runtime.py", "runtime/test_plan_maker.py", "simulation/test_recorder.py",
 )  # fmt: skip
 """Tests without shape checks, which take up to half of their time; other tests check the same code."""
 
 
 SLOW = (
     "dynamics/header/test_cuda.py::test_kernels_keep_a_step_in_registers[sm_8",
-    "documentation/test_tutorials.py::test_a_tutorial_runs_as_it_stands[log-to-model]",
-    "documentation/test_tutorials.py::test_a_tutorial_runs_as_it_stands[predict]",
+    "documentation/test_pages.py::test_a_tutorial_runs_as_it_stands[log-to-model]",
+    "documentation/test_pages.py::test_a_tutorial_runs_as_it_stands[predict]",
     "experiments/test_pretrained_models.py",
     "golden/test_golden.py::test_golden[findings]", "inspection/test_sensors.py::test_kitti",
     "reproduction/test_data.py::test_portions",
@@ -161,6 +162,15 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object | Non
 def pytest_xdist_auto_num_workers() -> int:
     """Return one more than the number of cores, because tests of processes mostly wait."""
     return len(os.sched_getaffinity(0)) + 1
+
+
+@pytest.fixture
+def network() -> Iterator[Any]:
+    """A Zenoh router on the loopback."""
+    from transport.routers import Network
+
+    with closing(Network()) as network:
+        yield network
 
 
 @pytest.fixture(scope="session")

@@ -23,9 +23,8 @@ from offpiste.live.supervisor import Supervisor, end_requested
 from offpiste.logs import open_log
 from offpiste.logs.ros.writer import make
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
-from transport.routers import Network, free_port, network, until
+from transport.routers import Network, free_port, until
 
-__all__ = ["network"]
 GAP = 0.3
 """The watchdog's silence of 0.1 s, and the delay of a busy machine [s]."""
 

@@ -10,9 +10,7 @@ from offpiste.core.errors import LiveError, LogError
 from offpiste.live.play import LogPlayer, RecordedDrive, clock_message, play_log
 from offpiste.logs.ros.writer import McapWriter, make
 from offpiste.transport.zenoh_transport import ZenohSettings
-from transport.routers import network, until
-
-__all__ = ["network"]
+from transport.routers import until
 
 
 @pytest.fixture(scope="module")

@@ -17,9 +17,8 @@ from offpiste.live.ring import unpacked
 from offpiste.live.session import new_session
 from offpiste.logs.ros.writer import header, make, vector
 from offpiste.planning.course import Course
-from transport.routers import network, until
+from transport.routers import until
 
-__all__ = ["network"]
 HEADERLESS = """
 [channels.throttle]
 topic = "/cmd_vel"

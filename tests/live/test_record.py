@@ -27,9 +27,8 @@ from offpiste.simulation.vehicle.parameters import load_vehicle
 from offpiste.transport.message_types import MessageTypes
 from offpiste.transport.received import Received
 from synthetic_drive import samples
-from transport.routers import network, until
+from transport.routers import until
 
-__all__ = ["network"]
 TYPES = MessageTypes()
 
 

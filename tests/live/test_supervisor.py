@@ -26,9 +26,7 @@ from offpiste.runtime.settings import RuntimeSettings
 from offpiste.transport.zenoh_transport import ZenohSettings
 from planning_maps import layers
 from runtime.stream import course
-from transport.routers import Network, network, until
-
-__all__ = ["network"]
+from transport.routers import Network, until
 
 
 class Drive:

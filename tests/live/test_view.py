@@ -20,9 +20,7 @@ from offpiste.live.viewers import VIEWERS, Viewer
 from offpiste.logs.measurements import Image
 from planning_maps import layers
 from runtime.stream import course
-from transport.routers import free_port, network, until
-
-__all__ = ["network"]
+from transport.routers import free_port, until
 
 
 def lines_of(viewer, name):

@@ -1,10 +1,12 @@
-"""Loading of planners and their warm-up."""
+"""Loading of planners, their warm-up, and codes computed on a GPU."""
 
 from dataclasses import asdict
 
+import numpy as np
 import pytest
 import torch
 
+from fake_gpu import GPU, Faking, FromNumbers
 from feature_datasets import random_pca
 from offpiste.core.checksums import sha256_of
 from offpiste.core.conventions import CONTROL
@@ -14,7 +16,7 @@ from offpiste.logs.ground_truth import GROUND_PROPERTIES
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.pca import save_pca
 from offpiste.rig.rig import load_rig
-from offpiste.runtime.perception import SensorSetup
+from offpiste.runtime.perception import SensorSetup, codes_of, encoder_on
 from offpiste.runtime.planner import load_planner, warm_up
 from offpiste.runtime.runtime import Runtime
 from offpiste.training.checkpoint import save_beside_weights, save_json, save_tensors
@@ -124,3 +126,21 @@ def test_a_warm_up_plans_with_any_model(monkeypatch, make, extractor):
 def test_a_warm_up_without_a_scan_is_refused():
     with pytest.raises(PlanningError, match=r"no plan was made on flat ground: .*; change the settings"):
         warm_up(parametric(), SensorSetup({}), WHEELS, settings())
+
+
+RUN = "pretrained:proving-ground/dc"
+
+
+@pytest.mark.parametrize("novelty", ["ignored", "missing"])
+def test_codes_computed_on_a_gpu_equal_those_of_the_cpu(novelty):
+    pixels = np.random.default_rng(0).integers(0, 256, (140, 280, 3), dtype=np.uint8)
+    planner = load_planner(RUN, novelty=novelty)
+    wanted = codes_of(pixels, planner.extractor.extract, planner.dynamics.encoder)
+    with FromNumbers(), Faking():
+        there = load_planner(RUN, novelty=novelty, device=str(GPU))
+        encoder = encoder_on(str(GPU), there.dynamics.encoder)
+        found = codes_of(pixels, there.extractor.extract, encoder)
+        assert {part.device for part in encoder.state_dict().values()} == {GPU}
+    assert {part.device for part in there.dynamics.state_dict().values()} == {torch.device("cpu")}
+    np.testing.assert_allclose(found, wanted, atol=1e-4)
+    assert (np.std(wanted, axis=(0, 1)) > 0.01).all() == (novelty == "ignored")  # noise looks like no ground

@@ -4,8 +4,6 @@ import socket
 import time
 from contextlib import ExitStack
 
-import pytest
-
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
 
 
@@ -41,10 +39,3 @@ class Network:
 
     def close(self):
         self._stack.close()
-
-
-@pytest.fixture
-def network():
-    network = Network()
-    yield network
-    network.close()

@@ -14,9 +14,8 @@ from offpiste.core.errors import TransportError
 from offpiste.logs.ros.writer import make
 from offpiste.transport.zenoh_session import OUTLIVES, configuration
 from offpiste.transport.zenoh_transport import ZenohSettings, ZenohTransport
-from transport.routers import Network, free_port, network, until
+from transport.routers import Network, free_port, until
 
-__all__ = ["network"]
 STRING = "std_msgs/msg/String"
 HOSTS = """
 import sys
