@@ -56,10 +56,19 @@ def twists(count: int) -> list[object]:
 
 
 def mcap_file(
-    path: Path, messages: Sequence[object], *, msgtype: str = TWIST, store=ROS2, schema: str = "ros2msg",
-    encoding: str = "cdr", profile: str = "ros2", compression: CompressionType = CompressionType.NONE,
-    chunking: bool = True, finish: bool = True, index: IndexType = IndexType.ALL,
-) -> Path:  # fmt: skip
+    path: Path,
+    messages: Sequence[object],
+    *,
+    msgtype: str = TWIST,
+    store=ROS2,
+    schema: str = "ros2msg",
+    encoding: str = "cdr",
+    profile: str = "ros2",
+    compression: CompressionType = CompressionType.NONE,
+    chunking: bool = True,
+    finish: bool = True,
+    index: IndexType = IndexType.ALL,
+) -> Path:
     definition = store.generate_msgdef(msgtype, ros_version=2)[0] if schema else ""
     with path.open("wb") as file:
         writer = McapWriter(file, chunk_size=400, compression=compression, use_chunking=chunking, index_types=index)

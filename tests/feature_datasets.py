@@ -54,9 +54,15 @@ def random_pca(backbone: Backbone, seed: int = 0, **given: object) -> PrincipalC
 
 
 def dataset_with_features(
-    path: Path, parts: Sequence[str] = PARTS, *, rows: int = 900, seed: int = 0, yaw_rate: float = 0.5,
-    cells: int = 100, speeds: tuple[float, float] = (3.0, 6.0),
-) -> Dataset:  # fmt: skip
+    path: Path,
+    parts: Sequence[str] = PARTS,
+    *,
+    rows: int = 900,
+    seed: int = 0,
+    yaw_rate: float = 0.5,
+    cells: int = 100,
+    speeds: tuple[float, float] = (3.0, 6.0),
+) -> Dataset:
     """Some drives, each in one part, with a map of random looks, `cells` of 0.4 m wide."""
     rng, names = np.random.default_rng(seed), [f"circle-{number}" for number in range(len(parts))]
     split = empty_dataset(path, dict(zip(names, parts, strict=True)))

@@ -145,9 +145,13 @@ def start(name: str, inputs: Path, out: Path) -> subprocess.Popen[str]:
     code += f"kill.{work.__name__}(*map(pathlib.Path, sys.argv[1:]))"
     path = os.pathsep.join((str(Path(__file__).parent), *filter(None, sys.path)))
     process = subprocess.Popen(
-        [sys.executable, "-c", code, str(inputs), str(out)], env=os.environ | {"PYTHONPATH": path},
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, text=True,
-    )  # fmt: skip
+        [sys.executable, "-c", code, str(inputs), str(out)],
+        env=os.environ | {"PYTHONPATH": path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+    )
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n", process.communicate()[1]
     return process

@@ -174,7 +174,9 @@ UNREADABLE = r"drive 'circle-0' cannot be read \("
         (narrower("cells/valid"), EVALUATE, rf"{UNREADABLE}.*circle-0 and run `offpiste extract` again$"),
     ],
 )
-def test_a_fault_of_a_dataset(good: Path, tmp_path: Path, capsys, fault: Fault, command: str, why: str) -> None:
+def test_a_fault_of_a_dataset(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: Fault, command: str, why: str
+) -> None:
     places = {"data": shutil.copytree(good, tmp_path / "broken.zarr"), "runs": good.parent, "out": tmp_path / "out"}
     fault(tmp_path / "broken.zarr")
     line = refusal(capsys, *command.format(**places).split())
@@ -191,7 +193,9 @@ def test_a_fault_of_a_dataset(good: Path, tmp_path: Path, capsys, fault: Fault, 
         ("--batch 5000", "fewer than a batch of 5000"),
     ],
 )
-def test_settings_out_of_range(good: Path, tmp_path: Path, capsys, words: str, why: str) -> None:
+def test_settings_out_of_range(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: str, why: str
+) -> None:
     assert why in refusal(capsys, "train", good, "--out", tmp_path / "run", *words.split())
     assert not (tmp_path / "run").exists(), "a folder that cannot be filled is not begun"
 
@@ -213,7 +217,7 @@ def test_impossible_settings(settings: dict, why: str) -> None:
         refuse_impossible(TrainConfig(**settings))
 
 
-def test_an_unknown_feature_set_is_wrong_usage(good: Path, capsys) -> None:
+def test_an_unknown_feature_set_is_wrong_usage(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("evaluate", good.parent / "cf", "--dataset", good, "--feature-set", "15") == 2
     assert "hindsight" in capsys.readouterr().err
 
@@ -268,7 +272,9 @@ UNUSABLE = "{run}/model.json: cannot be used ("
         (stated("vehicle", "control", ["wings"]), f"{UNUSABLE}vehicle.control is impossible"),
     ],
 )
-def test_a_fault_of_a_run(good: Path, tmp_path: Path, capsys, fault: Fault, why: str) -> None:
+def test_a_fault_of_a_run(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: Fault, why: str
+) -> None:
     run = Path(shutil.copytree(good.parent / "cf", tmp_path / "cf"))
     fault(run)
     assert why.replace("{run}", str(run)) in refusal(capsys, "evaluate", run, "--dataset", good)

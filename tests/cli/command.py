@@ -12,7 +12,7 @@ def run(*words: object) -> int:
     return int(exit_.value.code or 0)
 
 
-def refusal(capsys, *words: object) -> str:
+def refusal(capsys: pytest.CaptureFixture[str], *words: object) -> str:
     """Run a command that must fail, and return its one line."""
     assert run(*words) == 1
     (line,) = capsys.readouterr().err.splitlines()

@@ -30,14 +30,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_train_ends_with_the_next_command(folder: Path, capsys) -> None:
+def test_train_ends_with_the_next_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     dataset, out = folder / "dataset.zarr", folder / "b"
     assert run("train", dataset, "--out", out, *QUICK, "--resume") == 0
     assert capsys.readouterr().out.endswith(f"next: offpiste evaluate {out} --dataset {dataset}\n")
 
 
 def test_a_training_that_had_not_converged_says_how_to_go_on_and_is_compared_with_its_neighbours(
-    folder: Path, capsys, tmp_path: Path, monkeypatch
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dataset, out = folder / "dataset.zarr", tmp_path / "physics"
     quick = [*QUICK, "--model", "parametric", "--epochs", "2", "--constants-learning-rate", "1e-3", "--seed", "3"]
@@ -53,7 +53,7 @@ def test_a_training_that_had_not_converged_says_how_to_go_on_and_is_compared_wit
     assert run(*shlex.split(compared)[2:]) == 0
 
 
-def test_evaluate_writes_report_and_metrics(folder: Path, capsys) -> None:
+def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report = folder / "report"
     report.mkdir()
     for name in (".offpiste-report", "growth.png"):  # of an evaluation that was killed
@@ -73,14 +73,16 @@ def test_evaluate_writes_report_and_metrics(folder: Path, capsys) -> None:
     assert ("–: no interval" in message) == (metrics["windows"]["blocks"] < 3)
 
 
-def test_inspect_prints_json_and_exits_with_1_where_a_log_is_unusable(folder: Path, capsys, tmp_path: Path) -> None:
+def test_inspect_prints_json_and_exits_with_1_where_a_log_is_unusable(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     assert run("inspect", folder / "drive.mcap", *RIG, "--json") == 0
     assert json.loads(capsys.readouterr().out)["usable"] is True
     (tmp_path / "still.csv").write_text("time,x,y\n" + "".join(f"{i / 50},0,0\n" for i in range(500)))
     assert run("inspect", tmp_path / "still.csv") == 1
 
 
-def test_extract_resumes_where_it_stopped(folder: Path, capsys) -> None:
+def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("extract", folder / "drive.mcap", *RIG, "--out", folder / "dataset.zarr") == 0
     assert "drive: already there" in capsys.readouterr().out
 
@@ -118,7 +120,9 @@ def test_extract_resumes_where_it_stopped(folder: Path, capsys) -> None:
         ),
     ],
 )
-def test_a_mistake_ends_in_one_line_and_exit_code_1(folder, tmp_path, capsys, arguments, message):
+def test_a_mistake_ends_in_one_line_and_exit_code_1(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
+) -> None:
     places = {
         "tmp": tmp_path, "drive": folder / "drive.mcap", "dataset": folder / "dataset.zarr", "run": folder / "b",
     }  # fmt: skip
@@ -126,13 +130,15 @@ def test_a_mistake_ends_in_one_line_and_exit_code_1(folder, tmp_path, capsys, ar
     assert message.format(**places) in line
 
 
-def test_the_version_is_that_of_the_package(capsys) -> None:
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--version") == 0
     assert capsys.readouterr().out == f"offpiste {offpiste.__version__}\n"
 
 
 @pytest.mark.parametrize(("word", "meant"), [("fly", "Commands"), ("tr\nain", "did you mean 'train'? C")])
-def test_an_unknown_command_is_one_line_with_a_suggestion(capsys, word: str, meant: str) -> None:
+def test_an_unknown_command_is_one_line_with_a_suggestion(
+    capsys: pytest.CaptureFixture[str], word: str, meant: str
+) -> None:
     assert run(word, "--out", "x") == 2
     error = capsys.readouterr().err
     assert error.startswith("offpiste: unknown command '")
@@ -141,14 +147,14 @@ def test_an_unknown_command_is_one_line_with_a_suggestion(capsys, word: str, mea
     assert error.count("\n") == 1
 
 
-def test_a_pipe_that_is_closed_early_is_no_error():
+def test_a_pipe_that_is_closed_early_is_no_error() -> None:
     command = f"{sys.executable} -c 'from offpiste.cli import main; main()' train --help | head -1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=120)
     assert done.stdout.startswith("usage")
     assert not done.stderr
 
 
-def test_wrong_usage_shows_options_of_its_command_alone(capsys) -> None:
+def test_wrong_usage_shows_options_of_its_command_alone(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("train") == 2
     assert run("demo", "--seedd", "3") == 2
     message = capsys.readouterr().err

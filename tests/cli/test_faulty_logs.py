@@ -144,7 +144,9 @@ def test_a_drafted_rig_reads_the_times_of_points(name: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(("name", "key"), [("Ouster", "time_unit"), ("Livox", "time_origin")])
-def test_a_wrong_unit_or_origin_is_one_finding_and_stops_extract(name, key, tmp_path, capsys, pca):
+def test_a_wrong_unit_or_origin_is_one_finding_and_stops_extract(
+    name: str, key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], pca: Path
+) -> None:
     clock, rig, log = DRIVERS[name], tmp_path / "rig.toml", log_of(DRIVERS[name], tmp_path / "log.mcap")
     right = clock.entries[key]
     extract, edit = extraction(tmp_path, pca, tmp_path / "d.zarr", log), f'lidars.top.{key} = "{right}"'

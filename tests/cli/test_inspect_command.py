@@ -17,25 +17,25 @@ LOG = "first drive.csv"
 
 
 @pytest.fixture(autouse=True)
-def log(tmp_path, monkeypatch):
+def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """A log in the current folder."""
     monkeypatch.chdir(tmp_path)
     written(tmp_path / LOG, {**POSE, "throttle": ("pedal", 1.0), "delta": ("angle", 1.0)})
     return Path(LOG).read_text("utf-8")
 
 
-def said(capsys, *words, code=0):
+def said(capsys: pytest.CaptureFixture[str], *words: object, code: int = 0) -> list[str]:
     """Output lines of a command that ends with a code."""
     capsys.readouterr()
     assert run(*words) == code
     return capsys.readouterr().out.splitlines()
 
 
-def edit(file, old, new):
+def edit(file: str | Path, old: str, new: str) -> None:
     Path(file).write_text(re.sub(old, new, Path(file).read_text("utf-8")), "utf-8")
 
 
-def test_each_command_leads_to_the_next(capsys):
+def test_each_command_leads_to_the_next(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["inspect", LOG]
     for expected in (["--write-rig", "my.toml"], ["--rig", "my.toml"], ["--rig", "my.toml", "--out", "dataset.zarr"]):
         line = said(capsys, *words)[-1]
@@ -46,7 +46,9 @@ def test_each_command_leads_to_the_next(capsys):
     assert Path("dataset.zarr").is_dir()
 
 
-def test_warnings_lead_to_a_cured_rig_and_what_no_line_cures_is_to_be_mended(log, capsys):
+def test_warnings_lead_to_a_cured_rig_and_what_no_line_cures_is_to_be_mended(
+    log: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     run("inspect", LOG, "--write-rig", "my.toml")
     edit("my.toml", r'fields = \["delta"\]', 'fields = ["delta"]\nsign = -1')
     edit("my.toml", "GUESSED", "measured")
@@ -62,20 +64,22 @@ def test_warnings_lead_to_a_cured_rig_and_what_no_line_cures_is_to_be_mended(log
     assert following.startswith("next: offpiste extract")
 
 
-def test_a_preset_of_another_vehicle_leads_to_a_first_rig(capsys):
+def test_a_preset_of_another_vehicle_leads_to_a_first_rig(capsys: pytest.CaptureFixture[str]) -> None:
     following = said(capsys, "inspect", LOG, "--rig", "tartandrive2", code=1)[-1]
     assert following == f"next: offpiste inspect '{LOG}' --write-rig my.toml"
 
 
 @pytest.mark.parametrize(("header", "more"), [("t,a,b,c", " --rig my.toml"), ("t,ecef_x,ecef_y,ecef_z", "")])
-def test_without_a_pose_the_next_step_is_one_that_works(log, capsys, header, more):
+def test_without_a_pose_the_next_step_is_one_that_works(
+    log: str, capsys: pytest.CaptureFixture[str], header: str, more: str
+) -> None:
     Path("other.csv").write_text(log.replace("t,x,y,yaw", header), "utf-8")
     first, following = said(capsys, "inspect", "other.csv", code=1)[-2:]
     assert first.startswith("first: ")
     assert following == f"next: offpiste inspect other.csv{more}"
 
 
-def test_a_time_that_no_name_shows_is_named(log, capsys):
+def test_a_time_that_no_name_shows_is_named(log: str, capsys: pytest.CaptureFixture[str]) -> None:
     header, *rows = log.splitlines()
     assert header.startswith("t,")
     kept = [row for number, row in enumerate(rows) if number % 7 not in (2, 3, 5)]
@@ -93,7 +97,9 @@ def test_a_time_that_no_name_shows_is_named(log, capsys):
     )
 
 
-def test_a_column_that_cannot_be_read_is_said_to_be_and_not_to_be_missing(log, capsys):
+def test_a_column_that_cannot_be_read_is_said_to_be_and_not_to_be_missing(
+    log: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     lines = log.splitlines()
     at = lines[0].split(",").index("delta")
     cells = lines[200].split(",")
@@ -109,7 +115,7 @@ def test_a_column_that_cannot_be_read_is_said_to_be_and_not_to_be_missing(log, c
     assert "no field looks like it" not in printed.err
 
 
-def test_a_given_rig_is_written_with_its_comments(capsys):
+def test_a_given_rig_is_written_with_its_comments(capsys: pytest.CaptureFixture[str]) -> None:
     run("inspect", LOG, "--write-rig", "old.toml")
     edit("old.toml", r"\A", "# ours\n")
     again = ("inspect", LOG, "--rig", "old.toml", "--write-rig", "new.toml")
@@ -120,7 +126,7 @@ def test_a_given_rig_is_written_with_its_comments(capsys):
     assert rig_text("dart").startswith("# DART")
 
 
-def test_a_folder_of_logs_is_inspected_log_by_log(log, tmp_path, capsys):
+def test_a_folder_of_logs_is_inspected_log_by_log(log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("drive 0.csv").write_text(log, "utf-8")
     Path("notes.pdf").touch()
     assert run("inspect", tmp_path) == 0
@@ -136,7 +142,7 @@ def test_a_folder_of_logs_is_inspected_log_by_log(log, tmp_path, capsys):
     assert error.endswith(f"offpiste inspect {shlex.quote(str(tmp_path))}")
 
 
-def test_an_extraction_with_another_rig_gets_another_name(capsys):
+def test_an_extraction_with_another_rig_gets_another_name(capsys: pytest.CaptureFixture[str]) -> None:
     run("inspect", LOG, "--write-rig", "my.toml")
     run("extract", LOG, "--rig", "my.toml", "--out", "dataset.zarr")
     for mass, proposed in ((r"\g<0>", "dataset.zarr"), ("mass = 901.0", "dataset-2.zarr")):
@@ -144,7 +150,7 @@ def test_an_extraction_with_another_rig_gets_another_name(capsys):
         assert said(capsys, "inspect", LOG, "--rig", "my.toml")[-1].endswith(f"--out {proposed}")
 
 
-def test_findings_are_shown_although_no_rig_can_be_drafted(capsys):
+def test_findings_are_shown_although_no_rig_can_be_drafted(capsys: pytest.CaptureFixture[str]) -> None:
     Path("no pose.csv").write_text("time,a\n" + "".join(f"{0.02 * row:.2f},{row % 7}\n" for row in range(600)))
     assert run("inspect", "no pose.csv", "--write-rig", "my.toml") == 1
     printed = capsys.readouterr()
@@ -164,6 +170,6 @@ def test_findings_are_shown_although_no_rig_can_be_drafted(capsys):
         (errno.EIO, "my.toml: cannot be used: Input/output error; give another path"),
     ],
 )
-def test_errors_of_the_operating_system_are_one_line(number, message):
+def test_errors_of_the_operating_system_are_one_line(number: int, message: str) -> None:
     assert str(user_error_of(OSError(number, os.strerror(number), "my.toml"))).startswith(message)
     assert user_error_of(OSError(errno.EIO, "no device")) is None

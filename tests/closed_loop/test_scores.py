@@ -19,7 +19,7 @@ from offpiste.closed_loop.scores import (
     prediction_errors,
     summary,
     trace_of,
-)  # fmt: skip
+)
 from offpiste.core.conventions import HORIZON_STEPS
 from offpiste.logs.measurements import Cloud, Image
 from offpiste.planning.costs.weights import CostWeights

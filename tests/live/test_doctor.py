@@ -21,8 +21,17 @@ LISTENS = 1.2
 """Time to listen [s]: more than a busy machine needs for the first message."""
 
 
-def found(folder, *, more="", run="", change=lambda text: text, before=lambda network: None,
-          late=0.0, odom=lambda message: message, **robot):  # fmt: skip
+def found(
+    folder,
+    *,
+    more="",
+    run="",
+    change=lambda text: text,
+    before=lambda network: None,
+    late=0.0,
+    odom=lambda message: message,
+    **robot,
+):
     """Findings about a robot that publishes, with given faults of its messages and of its rig."""
     file, stop = Path(write_rig(folder, more)), threading.Event()
     file.write_text(change(file.read_text()))

@@ -12,7 +12,15 @@ from zenoh_ros2_sdk.entity import EndpointEntity, EntityKind, NodeEntity
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 
 from offpiste.core.errors import TransportError
-from offpiste.transport.keys import Address, Attachment, BridgeKeys, RmwZenohKeys, attachment_of, dds_type, ros_type
+from offpiste.transport.keys import (
+    Address,
+    Attachment,
+    BridgeKeys,
+    RmwZenohKeys,
+    attachment_of,
+    dds_type,
+    ros_type,
+)
 from offpiste.transport.message_types import MessageTypes
 from offpiste.transport.received import MOST, OTHERS, Tally
 

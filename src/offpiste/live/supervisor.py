@@ -52,8 +52,6 @@ _FRAME: Final = "map"
 """Frame of published messages if the vehicle's position messages name none."""
 OK, WARN, ERROR = 0, 1, 2
 """Levels of diagnostic_msgs/DiagnosticStatus."""
-_SHOWN: Final = ("elevation", "slope", "roughness", "obstacle_height")
-"""Layers of the published map; NaN where unknown."""
 _EVERY: Final = 5
 """Step in states of the published path."""
 _NICE: Final = {"codes": 5, "map": 5, "plan": 5, "record": 10, "view": 10}
@@ -145,10 +143,7 @@ class Supervisor:
         if (values := self._maps.newest()) is not None:
             self._layers = layers_from(values)
             if self._layers is not None:
-                shown = {name: np.asarray(getattr(self._layers, name), np.float64) for name in _SHOWN}
-                stamp, (x, y) = round(values["scan_time"] * 1e9), self._layers.origin.tolist()
-                cells = self._layers.resolution
-                self._publish_map(grid_map_from_layers(shown, (x, y), cells, stamp_ns=stamp, frame=frame))
+                self._publish_map(map_message(self._layers, round(values["scan_time"] * 1e9), frame))
         if (values := self._plans.newest()) is not None and "start" in values:
             timed, prediction = plan_from(values)
             self._publish_plan(plan_message(prediction, round(timed.start * 1e9), frame, self._layers))
@@ -237,6 +232,14 @@ def plan_message(prediction: Prediction, stamp_ns: int, frame: str, layers: Terr
     known = np.flatnonzero(np.isfinite(height))
     height = np.interp(np.arange(len(height)), known, height[known]) if len(known) else np.zeros(len(height))
     return path_message(np.column_stack((places[:, :2], height)), places[:, 2], stamp_ns, frame)
+
+
+def map_message(layers: TerrainLayers, stamp_ns: int, frame: str) -> Any:
+    """Return a grid_map_msgs/GridMap of elevation, slope, roughness and obstacle height; NaN where unknown."""
+    names = ("elevation", "slope", "roughness", "obstacle_height")
+    shown = {name: np.asarray(getattr(layers, name), np.float64) for name in names}
+    origin = (float(layers.origin[0]), float(layers.origin[1]))
+    return grid_map_from_layers(shown, origin, layers.resolution, stamp_ns=stamp_ns, frame=frame)
 
 
 def diagnostics_message(parts: States, stamp_ns: int) -> Any:
