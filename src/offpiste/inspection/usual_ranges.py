@@ -156,35 +156,25 @@ def steering_middle(
         named: whether unit or name indicate pulses.
         straight: value straight ahead according to the motion, as servos are trimmed.
     """
-    around = _usual_middle(values, named=named)
-    if around is None or straight is None:
-        return around
-    turned = values[~find_spikes(values)]
-    reach = float(np.abs(turned - straight).max())
-    seen = f"{turned.min():.4g}..{turned.max():.4g} seen"
-    return straight, reach, f"by the motion {straight:.4g} straight ahead, and full lock {reach:.4g} from it; {seen}"
-
-
-def _usual_middle(values: Float[np.ndarray, " n"], *, named: bool) -> tuple[float, float, str] | None:
-    """Return the same from the values alone."""
     low, high = (float(end) for end in np.percentile(values, (0.5, 99.5)))
-    if low == high:  # a constant steering shows no full lock
+    seen, pulses = f"{low:.4g}..{high:.4g} seen", are_pulses(values, named=named)
+    full = next((full for full in RANGES["middles"] if _is_half(values, low, high, full)), 0.0)
+    if low == high or not (pulses or full or low > 0):  # a constant steering shows no full lock
         return None
-    seen = f"{low:.4g}..{high:.4g} seen"
-    if are_pulses(values, named=named):
+    if pulses or straight is not None:
+        centre, by = (RANGES["middle_pulse"], "pulses,") if straight is None else (straight, "by the motion")
         turned = values[~find_spikes(values)]
-        seen = f"{turned.min():.4g}..{turned.max():.4g} seen"
-        middle = RANGES["middle_pulse"]
-        reach = float(np.abs(turned - middle).max())
-        return middle, reach, f"pulses, {middle:g} straight ahead and full lock {reach:.4g} from it; {seen}"
-    median = float(np.median(values))
-    for full in RANGES["middles"]:
-        central = _CENTRAL[0] * full <= median <= _CENTRAL[1] * full
-        if low >= 0 and high <= 1.02 * full and high - low >= _REACHED * full and central:
-            return full / 2, full / 2, f"of 0..{full:g}, {seen}"
-    if low <= 0:
-        return None
+        reach, seen = float(np.abs(turned - centre).max()), f"{turned.min():.4g}..{turned.max():.4g} seen"
+        return centre, reach, f"{by} {centre:.4g} straight ahead and full lock {reach:.4g} from it; {seen}"
+    if full:
+        return full / 2, full / 2, f"of 0..{full:g}, {seen}"
     return (low + high) / 2, (high - low) / 2, f"{seen}: is their middle straight ahead?"
+
+
+def _is_half(values: Float[np.ndarray, " n"], low: float, high: float, full: float) -> bool:
+    """Return whether straight ahead is half of a full scale, judging by range and median."""
+    central = _CENTRAL[0] * full <= np.median(values) <= _CENTRAL[1] * full
+    return bool(low >= 0 and high <= 1.02 * full and high - low >= _REACHED * full and central)
 
 
 def pulse_at_rest(values: Float[np.ndarray, " n"]) -> float:
