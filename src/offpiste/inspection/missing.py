@@ -133,7 +133,8 @@ def _unread(recorded: dict[str, Recorded], rig: Rig, lacking: Sequence[str]) -> 
 
     for name, r in recorded.items():
         read = {field for source in rig.channels.values() if source.topic == name for field in source.fields}
-        still = {field for field, column in zip(r.fields, r.values.T, strict=True) if not _changes(column)}
+        columns = {field: column[np.isfinite(column)] for field, column in zip(r.fields, r.values.T, strict=True)}
+        still = {field for field, known in columns.items() if not len(known) or np.ptp(known) == 0}
         fields = [field for field in (r.topic.fields if name else r.fields) if field not in read | still]
         fields = [field for field in fields if not is_named("not_controls", field)]
         if read or is_measured_topic(r.topic) or not named(name):
@@ -141,11 +142,6 @@ def _unread(recorded: dict[str, Recorded], rig: Rig, lacking: Sequence[str]) -> 
         if fields:
             listed = ", ".join(map(r.topic.in_words, fields[:_FIELDS])) + (", ..." if len(fields) > _FIELDS else "")
             yield f"{name} ({r.topic.type}: {listed})" if name else listed
-
-
-def _changes(column: np.ndarray) -> bool:
-    finite = column[np.isfinite(column)]
-    return bool(len(finite)) and bool(np.ptp(finite) > 0)
 
 
 def no_pose(log: Log) -> LogError:
