@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated import MAX_STEER, MemoryLog, drive_log, severe
+from simulated import MAX_STEER, WHEELBASE, MemoryLog, drive_log, severe
 
 from offpiste.logs.log import Topic
 from offpiste.rig.edits import edited
@@ -65,7 +65,11 @@ def _quantities() -> dict[str, np.ndarray]:
         "half azimuth sin": np.sin((np.pi / 2 - YAW) / 2),
         "wheel": 14 * angle,
         "wheel in deg": 800 * angle,
+        "wheel command in deg": 800 * MAX_STEER * steer,
         "tire command": MAX_STEER * steer,
+        "curvature": np.tan(MAX_STEER * steer) / WHEELBASE,
+        "steering from 0 to 1": (0.9 * steer + 1) / 2,
+        "revolutions": 1000 + 300 * ODOM["vx"],
         "speed command": np.interp(TIME + 0.4, TIME, ODOM["vx"]),
         "duty": ODOM["vx"] / 20,
         "throttle in %": 100 * throttle,
