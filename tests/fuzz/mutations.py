@@ -2,7 +2,8 @@
 
 import re
 from collections.abc import Callable
-from typing import Final
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 
@@ -146,3 +147,30 @@ def mutate_values(values: np.ndarray, rng: Generator) -> tuple[np.ndarray, str]:
             rows[part, columns] = noise.astype(rows.dtype)
             said = "noise over all magnitudes"
     return changed, said
+
+
+_OCTETS = ("is_bigendian", "datatype")
+"""Fields of ROS messages with 8 bits."""
+
+
+def mutate_message(message: Any, rng: Generator) -> tuple[Any, str]:
+    """Replace a field of a ROS message, at any depth, by an absurd value of its type; returns also a description."""
+    name = str(rng.choice([one.name for one in fields(message) if not one.name.startswith("_")]))
+    value = getattr(message, name)
+    if isinstance(value, list) and value and is_dataclass(value[0]):
+        at = int(rng.integers(len(value)))
+        changed, how = mutate_message(value[at], rng)
+        changed, how = [*value[:at], changed, *value[at + 1 :]], f"[{at}].{how}"
+    elif is_dataclass(value):
+        changed, how = mutate_message(value, rng)
+        how = f".{how}"
+    elif isinstance(value, np.ndarray):
+        changed, how = mutate_values(value, rng)
+        how = f" {how}"
+    else:
+        integers = (0, 1, 2, 255, 65_535, 0x7FFFFFFF)[: 4 if name in _OCTETS else None]
+        kinds = {str: WORDS, float: VALUES, bool: (False, True), int: integers, list: ([],)}
+        values = kinds[type(value)]
+        changed = values[int(rng.integers(len(values)))]
+        how = f" {str(changed)[:20]!r}"
+    return replace(message, **{name: changed}), name + how

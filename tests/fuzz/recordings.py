@@ -4,15 +4,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
-from rosbags import rosbag1, rosbag2
-from rosbags.rosbag2.enums import StoragePlugin
+from rosbags.convert.converter import convert
 from rosbags.typesys import Stores, get_typestore
 
+from offpiste.logs.ros.writer import McapWriter, header, make, quaternion, vector
 from tests.fuzz.mutations import Generator, mutate_values
 
 RATE = 25.0
@@ -84,64 +85,46 @@ def write_tartandrive(recording: Recording, path: Path) -> None:
         np.savetxt(path / topic / "timestamps.txt", table.time)
 
 
-def write_ros1(recording: Recording, path: Path) -> None:
-    store = get_typestore(Stores.ROS1_NOETIC)
-    writer = rosbag1.Writer(path)
-    writer.chunk_threshold = 20_000
-    with writer:
-        for topic, kind, at, message in _messages(recording, store, ros1=True):
-            connection = next((c for c in writer.connections if c.topic == topic), None)
-            connection = connection or writer.add_connection(topic, kind, typestore=store)
-            writer.write(connection, at, store.serialize_ros1(message, kind))
+def write_bag(recording: Recording, path: Path, storage: str = "") -> None:
+    """Write a ROS 1 bag, or the folder of a ROS 2 bag with this storage."""
+    rows = [
+        (START + number / RATE, topic, number)
+        for topic, table in recording.items()
+        for number in range(len(table.time))
+    ]
+    with TemporaryDirectory() as folder:
+        log = Path(folder) / "drive.mcap"
+        with McapWriter(log) as writer:
+            for arrival, topic, number in sorted(rows):
+                stamp = float(np.clip(np.nan_to_num(recording[topic].time[number]), 0, 2**31 - 1))
+                message = MESSAGES[topic](header(int(stamp * 1e9), "map"), recording[topic].values[number])
+                writer.write(f"/{topic}", message, int(arrival * 1e9))
+        target = get_typestore(Stores.ROS2_HUMBLE if storage else Stores.ROS1_NOETIC)
+        convert([log], path, storage, 9, None, "", None, target, [], [], [], [])
 
 
-def write_ros2(storage: StoragePlugin, recording: Recording, path: Path) -> None:
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    with rosbag2.Writer(path, version=9, storage_plugin=storage) as writer:
-        connections = {}
-        for topic, kind, at, message in _messages(recording, store, ros1=False):
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=store)
-            writer.write(connections[topic], at, store.serialize_cdr(message, kind))
+def _odometry(head: object, values: np.ndarray) -> object:
+    position, turn = vector(values[:3], "geometry_msgs/Point"), quaternion(values[3:])
+    pose = make("geometry_msgs/Pose", position=position, orientation=turn)
+    return make(
+        "nav_msgs/Odometry",
+        header=head,
+        child_frame_id="base_link",
+        pose=make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+        twist=make("geometry_msgs/TwistWithCovariance", twist=_twist(np.zeros(3)), covariance=np.zeros(36)),
+    )
 
 
-write_mcap = partial(write_ros2, StoragePlugin.MCAP)
-write_db3 = partial(write_ros2, StoragePlugin.SQLITE3)
+def _twist(values: np.ndarray) -> object:
+    linear, angular = vector((*values[:2], 0)), vector((0, 0, values[2]))
+    return make("geometry_msgs/Twist", linear=linear, angular=angular)
 
 
-def _messages(recording: Recording, store, *, ros1: bool):
-    """Topic, type, arrival [ns] and message of every row, in the order of arrival."""
-    types = store.types
-    vector, point = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Point"]
-    twist, turn = types["geometry_msgs/msg/Twist"], types["geometry_msgs/msg/Quaternion"]
-
-    def header(stamp: float):
-        seconds = float(np.clip(np.nan_to_num(stamp), 0 if ros1 else -(2**31), 2**31 - 1))
-        time = types["builtin_interfaces/msg/Time"](sec=int(seconds // 1), nanosec=int(seconds % 1 * 1e9))
-        return types["std_msgs/msg/Header"](stamp=time, frame_id="map", **({"seq": 0} if ros1 else {}))
-
-    def odometry(stamp: float, v: list[float]):
-        pose = types["geometry_msgs/msg/Pose"](position=point(*v[:3]), orientation=turn(*v[3:]))
-        covered = types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36))
-        still = types["geometry_msgs/msg/TwistWithCovariance"](twist=still_twist, covariance=np.zeros(36))
-        odometry_type = types["nav_msgs/msg/Odometry"]
-        return odometry_type(header=header(stamp), child_frame_id="base_link", pose=covered, twist=still)
-
-    def command(stamp: float, v: list[float]):
-        moved = twist(linear=vector(v[0], v[1], 0.0), angular=vector(0.0, 0.0, v[2]))
-        return types["geometry_msgs/msg/TwistStamped"](header=header(stamp), twist=moved)
-
-    still_twist = twist(linear=vector(0.0, 0.0, 0.0), angular=vector(0.0, 0.0, 0.0))
-    rows = []
-    for topic, kind, make in (
-        ("odom", "nav_msgs/msg/Odometry", odometry),
-        ("commands", "geometry_msgs/msg/TwistStamped", command),
-    ):
-        table = recording[topic]
-        for number, (stamp, values) in enumerate(zip(table.time.tolist(), table.values.tolist(), strict=True)):
-            arrival = int((START + number / RATE) * 1e9)
-            rows.append((f"/{topic}", kind, arrival, make(stamp, values)))
-    return sorted(rows, key=lambda row: row[2])
+MESSAGES = {
+    "odom": _odometry,
+    "commands": lambda head, values: make("geometry_msgs/TwistStamped", header=head, twist=_twist(values)),
+}
+write_ros1, write_mcap, write_db3 = write_bag, partial(write_bag, storage="mcap"), partial(write_bag, storage="sqlite3")
 
 
 @dataclass(frozen=True)

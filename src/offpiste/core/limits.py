@@ -3,7 +3,9 @@
 import json
 import re
 import sys
+import tomllib
 from collections.abc import Callable
+from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, Final
@@ -55,6 +57,11 @@ def parsed(text: str, parse: Callable[[str], Any] = json.loads) -> Any:
         return parse(text)
     except RecursionError:
         raise ValueError("its brackets are nested too deeply") from None
+
+
+def packaged_table(package: str, name: str) -> dict[str, Any]:
+    """Read a TOML file that ships with a package."""
+    return tomllib.loads((resources.files(package) / name).read_text("utf-8"))
 
 
 def open_tensors(path: Path, framework: str) -> Any:

@@ -8,6 +8,7 @@ import pytest
 from msgspec import structs
 from scipy.spatial.transform import Rotation
 
+from kitti_drive import kitti_drive
 from offpiste.core.errors import LogError
 from offpiste.logs import open_log, read_drive
 from offpiste.logs.formats.kitti import KittiLog, pose_from_oxts, time_in_sweep
@@ -19,32 +20,15 @@ DRIVE = "kitti_raw/2011_09_26/2011_09_26_drive_0013_sync"
 RIG = load_rig("kitti")
 SLOW = structs.replace(RIG, clock=structs.replace(RIG.clock, max_gap=2.0))
 """For a row a second."""
-CALIBRATION = {
-    "calib_imu_to_velo.txt": "R: 1 0 0 0 1 0 0 0 1\nT: -1 0 -2\n",
-    "calib_velo_to_cam.txt": "calib_time: 09-Jan-2012 13:57:47\nR: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 -0.5\n",
-    "calib_cam_to_cam.txt": "S_rect_02: 8 6\nR_rect_00: 1 0 0 0 1 0 0 0 1\nP_rect_02: 5 0 3.5 2 0 5 2.5 0 0 0 1 0\n",
-}
 
 
 def made_up(day: Path) -> Path:
     """Write three OXTS rows, one image and two scans, of frames 0 and 2."""
-    drive = day / "drive_sync"
-    for folder in ("oxts", "image_02", "velodyne_points"):
-        (drive / folder / "data").mkdir(parents=True)
-        stamps = [f"2011-09-26 13:10:5{second}.500000000" for second in range(3)]
-        (drive / folder / "timestamps.txt").write_text("\n".join(stamps) + "\n")
-    for edge, digit in (("start", "450000000"), ("end", "550000000")):
-        stamps = [f"2011-09-26 13:10:5{second}.{digit}" for second in range(3)]
-        (drive / "velodyne_points" / f"timestamps_{edge}.txt").write_text("\n".join(stamps))
-    for frame in range(3):
-        row = [49.0 + frame * 1e-5, 8.0, 100.0 + frame, 0, 0, np.pi / 2, *24 * [0.0]]
-        (drive / "oxts" / "data" / f"{frame:010d}.txt").write_text(" ".join(map(str, row)))
+    drive = kitti_drive(day, 3, 1.0, "S_rect_02: 8 6\nP_rect_02: 5 0 3.5 2 0 5 2.5 0 0 0 1 0\n")
     cv2.imwrite(str(drive / "image_02" / "data" / "0000000002.png"), np.full((6, 8, 3), (10, 20, 30), np.uint8))
     scan = np.array([[5, 0, 0, 0.5], [0, 6, 0, 0.25], [0, -6, 0, 0.25], [0.1, 0, 0, 1]], "<f4")
     scan.tofile(drive / "velodyne_points" / "data" / "0000000000.bin")
     np.savetxt(drive / "velodyne_points" / "data" / "0000000002.txt", scan)
-    for name, text in CALIBRATION.items():
-        (day / name).write_text(text)
     return drive
 
 

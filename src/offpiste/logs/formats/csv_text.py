@@ -4,10 +4,8 @@ import codecs
 import csv
 import io
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +16,7 @@ import pyarrow.csv as pa_csv
 from jaxtyping import Float
 
 from offpiste.core.errors import LogError
+from offpiste.core.limits import packaged_table
 from offpiste.logs.log import as_log_error
 from offpiste.rig.labels import unit_of, without_comment
 
@@ -39,7 +38,7 @@ _UTF_16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _MINUTES: Final = {"lat": 1 / 60, "long": -1 / 60}
 """Degrees per minute of arc; longitudes count to the west."""
 _DAY: Final = 86_400.0
-_TABLES: Final = tomllib.loads((resources.files(__package__) / "tables.toml").read_text("utf-8"))
+_TABLES: Final = packaged_table(__package__, "tables.toml")
 _GEARS: Final = {word: letter for letter, words in _TABLES["gears"].items() for word in words}
 PATTERNS: Final = {name: re.compile(text, re.IGNORECASE) for name, text in _TABLES["patterns"].items()}
 """Patterns of names and cells (see tables.toml)."""

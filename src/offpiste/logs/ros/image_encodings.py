@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from offpiste.core.errors import LogError
-from offpiste.core.limits import MOST_PIXELS
+from offpiste.core.limits import MOST_PIXELS, packaged_table
 from offpiste.logs.measurements import Pixels, decoded_picture
 
 
@@ -23,34 +23,12 @@ class Encoding:
     depth: int  # bits per value, 8 or 16
     channels: int  # values per pixel; of the brightness plane in planar layouts
     to_rgb: int | None  # conversion of OpenCV; None for RGB
-    rows: int = 2  # rows of data for two rows of pixels; more than two in planar layouts
+    rows: int  # rows of data for two rows of pixels; more than two in planar layouts
 
 
-_LAYOUTS: Final = {
-    "rgb": (3, None),
-    "bgr": (3, cv2.COLOR_BGR2RGB),
-    "rgba": (4, cv2.COLOR_RGBA2RGB),
-    "bgra": (4, cv2.COLOR_BGRA2RGB),
-    "mono": (1, cv2.COLOR_GRAY2RGB),
-    # OpenCV names Bayer patterns by the second row's second and third pixel, ROS by the first row's first two.
-    "bayer_rggb": (1, cv2.COLOR_BayerBG2RGB),
-    "bayer_bggr": (1, cv2.COLOR_BayerRG2RGB),
-    "bayer_gbrg": (1, cv2.COLOR_BayerGR2RGB),
-    "bayer_grbg": (1, cv2.COLOR_BayerGB2RGB),
-}
-_UYVY, _YUYV = Encoding(8, 2, cv2.COLOR_YUV2RGB_UYVY), Encoding(8, 2, cv2.COLOR_YUV2RGB_YUY2)
 PICTURES: Final = {
-    **{f"{name}{depth}": Encoding(depth, *layout) for name, layout in _LAYOUTS.items() for depth in (8, 16)},
-    "uyvy": _UYVY,
-    "yuv422": _UYVY,
-    "yuyv": _YUYV,
-    "yuv422_yuy2": _YUYV,
-    "nv12": Encoding(8, 1, cv2.COLOR_YUV2RGB_NV12, rows=3),
-    "nv21": Encoding(8, 1, cv2.COLOR_YUV2RGB_NV21, rows=3),
-    # OpenCV's types are BGR. 16UC1 is depth (REP 118), not grey.
-    "8UC1": Encoding(8, *_LAYOUTS["mono"]),
-    **{f"{depth}UC3": Encoding(depth, *_LAYOUTS["bgr"]) for depth in (8, 16)},
-    **{f"{depth}UC4": Encoding(depth, *_LAYOUTS["bgra"]) for depth in (8, 16)},
+    name: Encoding(depth, channels, getattr(cv2, f"COLOR_{to_rgb}") if to_rgb else None, rows)
+    for name, (depth, channels, to_rgb, rows) in packaged_table(__package__, "encodings.toml").items()
 }
 """Encodings of sensor_msgs/image_encodings with colours or grey values."""
 _NO_PICTURE: Final = re.compile(r"(8U|8S|16U|16S|32S|32F|64F)C[1-4]")

@@ -1,10 +1,8 @@
 """Writer of MCAP files of ROS 2 messages that remain readable after an interruption."""
 
 import functools
-import tomllib
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager
-from importlib import resources
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -15,13 +13,13 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from offpiste.core.errors import LogError
+from offpiste.core.limits import packaged_table
 
 
 def new_typestore() -> Typestore:
     """Return the message types of ROS 2 and of definitions.toml."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    definitions = (resources.files("offpiste.logs.ros") / "definitions.toml").read_text("utf-8")
-    for name, text in tomllib.loads(definitions).items():
+    for name, text in packaged_table(__package__, "definitions.toml").items():
         store.register(get_types_from_msg(text, name))
     return store
 
