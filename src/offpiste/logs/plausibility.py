@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import binary_opening, median_filter
+from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 Between = Callable[[Int[np.ndarray, " m"], Int[np.ndarray, " m"]], Float[np.ndarray, "m k"]]
@@ -54,8 +54,6 @@ _TYPICAL: Final = 70.0
 """Percentile of the deviations that is the overall scatter; half of them are 0, since short steps are explained."""
 _NOISES: Final = 10.0
 """Multiple of the scatter that noise does not exceed."""
-_LONG: Final = 0.2
-"""Time over which the speed of a noisy pose is known [s]."""
 _COARSEST: Final = 1.0
 """Largest resolution of coordinates: float32 beyond 8000 km [m]."""
 _SAME: Final = 1e-9
@@ -102,13 +100,9 @@ def plausible(name: str, time: Float[np.ndarray, " n"], values: Float[np.ndarray
     if not nothing.hopeless:
         return nothing
     segments = _Segments(steps)
-    single = segments.first == segments.last
-    if single.sum() > 0.5 * len(fresh):
+    if (segments.first == segments.last).sum() > 0.5 * len(fresh):
         return nothing
-    on_its_way = single & np.append(steps.fast, steps.fast[-1])[np.searchsorted(fresh, segments.first)]
-    others = np.flatnonzero(~on_its_way)
-    weight = segments.weight[others]
-    chain = others[best_chain(weight, lambda origins, to: segments.links(others[origins], int(others[to]))[0])]
+    chain = best_chain(segments.weight, lambda origins, to: segments.links(origins, to)[0])
     if segments.weight[chain].sum() < (1 - limits.lost) * segments.weight.sum():
         return nothing
     ends = np.append(fresh, count)[np.searchsorted(fresh, segments.last[chain]) + 1]
@@ -161,9 +155,8 @@ class _Steps:
         self.held = held = np.append(fresh[1:], len(time)) - 1  # last of each run of equal samples
         self.typical = float(np.median(np.diff(time[fresh])))  # sampling time [s]
         self.way = between(fresh[:-1], fresh[1:])  # displacements [s, k] [m]
-        hold = np.minimum(time[held[:-1]] - time[fresh[:-1]], _HELD * self.typical)
-        # Durations from the last repetition of a sample [s].
-        self.seconds = np.maximum(time[fresh[1:]] - time[held[:-1]] + hold, self.typical)
+        self.hold = np.minimum(time[held] - time[fresh], _HELD * self.typical)  # time of repetitions that counts [s]
+        self.seconds = np.maximum(time[fresh[1:]] - (time[held] - self.hold)[:-1], self.typical)  # of the steps [s]
         velocity, length = self.way / self.seconds[:, None], _norm(self.way)
         self.off = deviation(self.way, self.seconds, *_beside(velocity))  # distances from the motion beside a step [m]
         usual = min(float(np.median(_norm(velocity))), 0.25 * limits.speed)
@@ -171,43 +164,29 @@ class _Steps:
         scatter = np.maximum(median_filter(self.off, _LOCAL, mode="nearest"), np.percentile(self.off, _TYPICAL))
         common = min(3.0 * float(np.percentile(self.off, 99)), limits.common)
         self.noise = np.minimum(_NOISES * scatter, limits.noise) + common  # distances that noise explains [m]
-        self.fast = self._too_fast_for_long(length)
         self.fault = self.off > self.least + self.noise + limits.acceleration * self.seconds**2  # no vehicle makes them
-        self.fault |= (length > self.least + self.noise + limits.speed * self.seconds) | self.fast
-
-    def _too_fast_for_long(self, length: Float[np.ndarray, " s"]) -> Bool[np.ndarray, " s"]:
-        """Mark runs of steps above the largest speed, which is also exceeded over the time before or after them."""
-        count = min(max(_BESIDE, int(np.ceil(_LONG / self.typical))), len(length))
-        path, clock = _summed(self.way), _summed(self.seconds)
-        over = _norm(path[count:] - path[:-count]) / (clock[count:] - clock[:-count])
-        padding = np.full(count - 1, -np.inf)
-        longer = np.maximum(np.append(padding, over), np.append(over, padding))
-        fast = longer > self.limits.speed + self.noise / (count * self.typical)
-        fast &= length > self.limits.speed * self.seconds
-        return np.asarray(binary_opening(fast, np.ones(_BESIDE)))
+        self.fault |= length > self.least + self.noise + limits.speed * self.seconds
 
 
 class _Segments:
     """Runs of samples between faulty steps."""
 
     def __init__(self, steps: _Steps) -> None:
-        self.steps, time, fresh, held, typical = steps, steps.time, steps.fresh, steps.held, steps.typical
+        self.steps, time, fresh, held = steps, steps.time, steps.fresh, steps.held
         cuts = np.flatnonzero(steps.fault)
         starts, ends = np.append(0, cuts + 1), np.append(cuts, len(fresh) - 1)
         path, clock = _summed(steps.way), _summed(steps.seconds)
         reach = np.minimum(_BESIDE, ends - starts)
         span_in, span_out = clock[starts + reach] - clock[starts], clock[ends] - clock[ends - reach]
-        inner = np.where(reach > 0, 1.0, np.nan)
         with np.errstate(invalid="ignore", divide="ignore"):  # velocities at the ends [m/s]; NaN for a single sample
-            self.velocity_in = (path[starts + reach] - path[starts]) / (span_in * inner)[:, None]
-            self.velocity_out = (path[ends] - path[ends - reach]) / (span_out * inner)[:, None]
-        self.span = np.maximum(np.minimum(span_in, span_out), typical)  # time over which they are known [s]
+            self.velocity_in = (path[starts + reach] - path[starts]) / span_in[:, None]
+            self.velocity_out = (path[ends] - path[ends - reach]) / span_out[:, None]
         self.first, self.last = fresh[starts], fresh[ends]  # samples
         self.begin = time[fresh[starts]]  # begin, end: times, with repetitions cut short [s]
-        self.end = time[held[ends]] - np.minimum(time[held[ends]] - time[fresh[ends]], _HELD * typical)
-        until = np.minimum(time[held], time[fresh] + _HELD * typical)
-        # Time that keeping a segment adds [s].
-        self.weight = clock[ends] - clock[starts] + np.maximum(until[ends] - time[fresh[ends]], typical)
+        self.end = (time[held] - steps.hold)[ends]
+        self.weight = (
+            clock[ends] - clock[starts] + np.maximum(steps.hold[ends], steps.typical)
+        )  # time added if kept [s]
         last = len(steps.noise) - 1
         self.noise = np.minimum(steps.noise[np.minimum(starts, last)], steps.noise[np.maximum(ends - 1, 0)])
         # Unexplained distances of the steps before and after [m].
@@ -225,10 +204,9 @@ class _Segments:
         before, after = np.where(np.isnan(before), after, before), np.where(np.isnan(after), before, after)
         off = deviation(way, seconds, np.nan_to_num(before), np.nan_to_num(after))
         noise = np.maximum(self.noise[origins], self.noise[to])
-        error = noise * (1 + seconds / self.span[origins] + seconds / self.span[to])
         excess = np.maximum(
             _norm(way) - limits.speed * seconds - least - noise,
-            off - least - limits.acceleration * seconds**2 - error,
+            off - least - limits.acceleration * seconds**2 - noise,
         )
         # Skipped segments must be further off than the segments they are skipped for: a shift in two steps is kept.
         shifted = (origins < to - 1) & (off > 0.5 * np.minimum(self.left[origins], self.entered[to]))
