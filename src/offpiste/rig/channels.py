@@ -4,11 +4,11 @@ from collections.abc import Collection, Mapping
 from typing import Annotated, Final, Literal
 
 import msgspec
-import numpy as np
 from msgspec import Meta
 
 from offpiste.core.channels import all_actuators, all_controls
 from offpiste.core.errors import RigError, did_you_mean
+from offpiste.core.limits import packaged_table
 from offpiste.rig.schema import Positive, refuse
 
 GEOGRAPHIC: Final = "lat lon"
@@ -18,29 +18,16 @@ REPEATED: Final = 0.25
 POSE: Final = ("position", "orientation", "yaw")
 """Channels of the pose, which cannot be declared absent."""
 
-_UNITS: dict[str, dict[str, float]] = {
-    "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, GEOGRAPHIC: 111_195.0},  # of the last: about, and northward
-    "rad": {"rad": 1.0, "deg": np.pi / 180, "mrad": 0.001},
-    "m/s": {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 0.514444},
-    "rad/s": {"rad/s": 1.0, "deg/s": np.pi / 180, "rev/min": 2 * np.pi / 60},
-    "1000 rev/min": {"1000 rev/min": 1.0, "rev/min": 0.001, "rad/s": 60 / (2 * np.pi) / 1000},
-    "1": {"1": 1.0, "percent": 0.01, "permille": 0.001},
-}
+_TABLES: Final = packaged_table("offpiste.rig", "units.toml")
+_UNITS: dict[str, dict[str, float]] = _TABLES["units"]
 """Conversion factors from recorded units to the internal unit (the key)."""
-
 ANGLES: Final[Mapping[str, float]] = _UNITS["rad"]
 """Units of angles, also of steering commands (`unit_factor`)."""
 TURN_RATES: Final[Mapping[str, float]] = _UNITS["rad/s"]
 """Units of turn rates, also of steering commands beside a speed (`ChannelSource.turns`)."""
 
 OTHER_CHANNELS: dict[str, tuple[str, tuple[int, ...]]] = {
-    "position": ("m", (2, 3)),
-    "orientation": ("1", (4,)),
-    "yaw": ("rad", (1,)),
-    "linear_velocity": ("m/s", (2, 3)),
-    "angular_velocity": ("rad/s", (3,)),
-    "yaw_rate": ("rad/s", (1,)),
-    "wheel_speed": ("m/s", (1, 2, 4)),
+    name: (entry["unit"], tuple(entry["fields"])) for name, entry in _TABLES["channels"].items()
 }
 """Internal unit and allowed numbers of fields of channels besides controls and actuators."""
 

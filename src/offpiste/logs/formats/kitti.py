@@ -16,13 +16,11 @@ from offpiste.logs.measurements import decoded_picture
 from offpiste.logs.transforms import Transform
 from offpiste.rig.camera import CameraModel
 
-# fmt: off
 _OXTS: Final = (
-    "lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu", "ax", "ay", "az", "af", "al",
-    "au", "wx", "wy", "wz", "wf", "wl", "wu", "pos_accuracy", "vel_accuracy", "navstat", "numsats", "posmode",
-    "velmode", "orimode",
+    *("lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu", "ax", "ay", "az", "af", "al", "au"),
+    *("wx", "wy", "wz", "wf", "wl", "wu", "pos_accuracy", "vel_accuracy"),
+    *("navstat", "numsats", "posmode", "velmode", "orimode"),
 )
-# fmt: on
 """Columns of an OXTS row (dataformat.txt of the dataset)."""
 _POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _CAMERAS: Final = "calib_cam_to_cam.txt"
