@@ -1,6 +1,5 @@
 """Commands in forked processes with limits on time, memory and disk."""
 
-import contextlib
 import multiprocessing
 import os
 import resource
@@ -17,13 +16,13 @@ from pathlib import Path
 
 MEMORY = 2 << 30
 """Largest resident memory [bytes]."""
-ADDRESSES = 8 << 30
+ADDRESSES = 6 << 30
 """Additional address space of a fork [bytes]; libraries reserve more than they use."""
 DISK = 1 << 30
 """Largest file [bytes]."""
 PROCESSOR = 120
 """Longest processor time [s]."""
-WALL = 900.0
+WALL = 900
 """Longest wall-clock time [s]."""
 
 TRACEBACK, OUT_OF_MEMORY = 70, 71
@@ -57,11 +56,11 @@ def run_isolated(work: Callable[[], object], folder: Path) -> Outcome:
     child = os.fork()
     if child == 0:
         _in_child(work, folder)
-    status, usage, hung, killed = _wait(child, start)
+    _, status, usage = os.wait4(child, 0)
     code = os.waitstatus_to_exitcode(status)
-    memory = max(usage.ru_maxrss << 10, MEMORY + 1 if killed else 0)
+    hung = code in (-signal.SIGXCPU, -signal.SIGALRM)
     out, err = ((folder / name).read_text("utf-8", "replace") for name in ("out.txt", "err.txt"))
-    return Outcome(code, hung or code == -signal.SIGXCPU, time.monotonic() - start, memory, out, err)
+    return Outcome(code, hung, time.monotonic() - start, usage.ru_maxrss << 10, out, err)
 
 
 def _in_child(work: Callable[[], object], folder: Path) -> None:
@@ -76,6 +75,7 @@ def _in_child(work: Callable[[], object], folder: Path) -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR, PROCESSOR + 5))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        signal.alarm(WALL)
         warnings.resetwarnings()
         warnings.simplefilter("ignore", DeprecationWarning)
         code = _exit_code(work)
@@ -97,29 +97,6 @@ def _exit_code(work: Callable[[], object]) -> int:
         traceback.print_exc()
         return TRACEBACK
     return 0
-
-
-def _wait(child: int, start: float) -> tuple[int, resource.struct_rusage, bool, bool]:
-    pause = 0.001
-    while True:
-        done, status, usage = os.wait4(child, os.WNOHANG)
-        if done:
-            return status, usage, False, False
-        late, large = time.monotonic() - start > WALL, _resident(child) > MEMORY
-        if late or large:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(child, signal.SIGKILL)
-            _, status, usage = os.wait4(child, 0)
-            return status, usage, late, large
-        time.sleep(pause)
-        pause = min(1.5 * pause, 0.05)
-
-
-def _resident(process: int) -> int:
-    try:
-        return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * resource.getpagesize()
-    except (OSError, IndexError):
-        return 0
 
 
 def run_apart(work: Callable[[], object], folder: Path) -> Outcome:
