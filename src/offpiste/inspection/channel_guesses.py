@@ -9,7 +9,7 @@ from offpiste.core.channels import ACTUATORS, CONTROLS, all_actuators, all_contr
 from offpiste.inspection.commanded_motion import is_asked_for, motion_commands
 from offpiste.inspection.field_groups import are_quaternions, field_groups, fours
 from offpiste.logs.log import Log, Topic
-from offpiste.logs.transforms import STAMPED, frame_pair
+from offpiste.logs.transforms import frame_pair
 from offpiste.rig.labels import (
     PRESSURES,
     VOCABULARY,
@@ -87,7 +87,7 @@ def guess_channels(log: Log, namespace: str = "") -> list[Guess]:
 def _is_of_a_body(part: Topic) -> bool:
     """Return True for a part with a body transform; alternating senders are guessed from the whole topic."""
     pair = frame_pair(part.name)
-    return part.type == STAMPED and pair is not None and pair.is_of_a_body
+    return pair is not None and pair.is_of_a_body
 
 
 def labels(topic: Topic) -> dict[str, Label]:

@@ -73,7 +73,7 @@ class Topics:
     @cached_property
     def senders(self) -> list[Finding]:
         """Return findings on topics with several senders, used by other checks."""
-        return check_senders(self.listed, self.inspected, self.rig, used=self.used)
+        return check_senders(self.inspected, self.rig, used=self.used)
 
     @property
     def inspected(self) -> dict[str, Recorded]:
@@ -104,7 +104,7 @@ def _check_stamps(topics: Topics) -> list[Finding]:
     silent = topics.silent | {finding.where for finding in changing}
     channels = topics.rig.channels if topics.rig else {}
     alone = check_stamps(inspected, clock, used=used, silent=silent, channels=channels)
-    several = {finding.where for finding in topics.senders} | {part.part_of for part in topics.listed.values()}
+    several = {finding.where for finding in topics.senders}
     findings = changing + [f for f in alone if f.what != MISSING or f.where not in several]
     findings += check_steps(inspected, clock, used=used, set_back=topics.set_back)
     if topics.rig is not None:

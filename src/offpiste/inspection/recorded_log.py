@@ -16,7 +16,7 @@ from offpiste.core.progress import track
 from offpiste.inspection.findings import Finding
 from offpiste.logs.channel import increasing
 from offpiste.logs.log import Log, Samples, SetBack, Topic
-from offpiste.logs.transforms import STAMPED, frame_pair, listed
+from offpiste.logs.transforms import frame_pair, listed
 from offpiste.rig.channels import SECONDS_PER_UNIT, ChannelSource, Clock
 from offpiste.rig.labels import is_array_entry, is_named
 from offpiste.rig.rig import Rig
@@ -88,8 +88,7 @@ class RememberedLog(Log):
         self._opened, self._per_stamp = log.clock, 1.0
         read = {source.topic for source in self._sources}
         self.near = _nearest(read - set(log.topics), [name for name, topic in log.topics.items() if topic.part_of])
-        senders = [name for name, topic in log.topics.items() if topic.part_of and topic.type != STAMPED]
-        kept = {*listed(log.topics), *read, *self.near, *senders}
+        kept = {*listed(log.topics), *read, *self.near}
         self._topics = {name: topic for name, topic in log.topics.items() if name in kept}
 
     @property

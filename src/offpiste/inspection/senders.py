@@ -1,4 +1,4 @@
-"""Check for topics with several senders, recognised by different frames or by alternating values."""
+"""Check for topics with several senders, recognised by alternating values."""
 
 from collections.abc import Collection, Mapping
 from typing import Final
@@ -6,11 +6,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.findings import Finding, fixable
+from offpiste.inspection.findings import Finding
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.logs.log import Topic
-from offpiste.logs.transforms import frame_pair
-from offpiste.rig.edits import Edit
 from offpiste.rig.rig import Rig
 
 _BEFORE: Final = 4
@@ -23,44 +20,20 @@ _LARGE, _LARGE_STEP = 0.1, 0.002
 """Minimum distance to the last sample, as a share of the range of values; of the extent of the path for positions."""
 
 
-def check_senders(
-    topics: Mapping[str, Topic], recorded: Mapping[str, Recorded], rig: Rig | None, *, used: Collection[str]
-) -> list[Finding]:
-    """Report topics with several senders; the remedy selects the sender of the rig's body frame.
+def check_senders(recorded: Mapping[str, Recorded], rig: Rig | None, *, used: Collection[str]) -> list[Finding]:
+    """Report topics with several senders.
 
     Args:
         used: topics that the rig reads.
     """
     findings = []
     for name, r in recorded.items():
-        parts = [one for one in topics.values() if one.part_of == name and one.type == r.topic.type]
-        if any(part.name in used for part in parts):
-            continue
-        if parts:
-            findings.append(_by_frames(name, parts, rig))
-        elif rig is not None and name in used and (share := _alternating(r, rig)) > _TURNS:
+        if rig is not None and name in used and (share := _alternating(r, rig)) > _TURNS:
             what = "has several senders: its values alternate between two series"
             evidence = f"{share:.0%} of its samples continue one before the last, and lie far from the last"
             how = "stop one of the senders, or give it a topic of its own, and record it again"
             findings.append(Finding("fatal", name, what, evidence, how, 1.0))
     return findings
-
-
-def _by_frames(name: str, parts: list[Topic], rig: Rig | None) -> Finding:
-    body = rig.frames.body if rig is not None else ""
-
-    def order(part: Topic) -> tuple[bool, bool, int]:
-        pair = frame_pair(part.name)
-        return pair is None or body not in pair[1:], pair is None or not pair.is_of_a_body, -part.count
-
-    parts = sorted(parts, key=order)
-    what = f"has {len(parts)} senders: {', '.join(part.name.removeprefix(name).strip() for part in parts)}"
-    evidence = f"{', '.join(str(part.count) for part in parts)} messages, which take turns"
-    readers = [channel for channel, source in rig.channels.items() if source.topic == name] if rig is not None else []
-    if not readers:
-        return Finding("note", name, what, evidence, "none: no channel reads it", 0.5)
-    cures = (tuple(Edit(f"channels.{channel}.topic", part.name) for channel in readers) for part in parts)
-    return fixable("fatal", name, what, evidence, *cures)
 
 
 def _alternating(topic: Recorded, rig: Rig) -> float:

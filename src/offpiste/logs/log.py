@@ -55,7 +55,7 @@ class Topic:
     units: Mapping[str, str] = field(default_factory=dict)  # of fields, if the log states them apart from the names
     joints: Mapping[str, str] = field(default_factory=dict)  # names of the entries of sensor_msgs/JointState, by field
     unread: Mapping[str, str] = field(default_factory=dict)  # reasons why other columns are not fields, by column
-    part_of: str = ""  # for one of several streams on a topic, the name of that topic
+    part_of: str = ""  # for the transforms between two frames, the topic that holds them
 
     def in_words(self, name: str) -> str:
         """Return a field with the name of its joint: `position[1] (steering)`."""

@@ -192,7 +192,12 @@ class SensorLog:
         self._read[name] = 0
         for key in [key for key in self._dropped if key[0] == name]:
             del self._dropped[key]
+        frame = ""
         for measured in raw:
+            frame = frame or measured.frame
+            if measured.frame != frame:
+                what = f"'{name}': its topic has several senders, of frames '{frame}' and '{measured.frame}'"
+                raise LogError(what, where=self.path, how="give each a topic of its own, and record it again")
             self._read[name] += 1
             if measured.time not in rising or not measured.time > latest:
                 self._dropped[name, "stamps repeat or go back; those messages were dropped"] += 1
@@ -229,9 +234,6 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None, rough: bool 
     present: dict[str, CameraSource | LidarSource] = {}
     for name, entry in entries.items():
         result = log.topics.get(entry.topic)
-        if parts := [topic.name for topic in log.topics.values() if topic.part_of == entry.topic]:
-            how = f"give its topic in the rig as one of: {', '.join(parts)}"
-            raise LogError(f"'{name}': topic '{entry.topic}' has {len(parts)} senders", where=log.path, how=how)
         if result is not None and result.count:
             present[name] = entry
         elif entry.optional:

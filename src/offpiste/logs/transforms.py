@@ -1,8 +1,7 @@
 """Fixed transforms between frames, and topics for single pairs of frames.
 
 Each pair of frames of `/tf` is a topic such as `/tf odom -> base_link`, with the fields of
-geometry_msgs/TransformStamped. Messages of several senders on one topic are also topics of their own, named by their
-frames: `/odom odom -> base_link`, `/imu @ imu`.
+geometry_msgs/TransformStamped.
 """
 
 import re
@@ -32,12 +31,11 @@ _SOUGHT, _MORE = 10_000, 500
 """Number of messages searched for a first pose of the vehicle, and for other frames after it."""
 _LISTED = 5
 """Largest number of listed transforms besides poses of the vehicle: a robot may have one for each joint."""
-_NAME = re.compile(r"(\S+) (?:(\S+) -> (\S+)|@ (\S+))")
-_UNNAMED = "(none)"
+_NAME = re.compile(r"(\S+) (\S+) -> (\S+)")
 
 
 class FramePair(NamedTuple):
-    """Pair of frames of some messages of a topic; or a single frame, with "" for the child."""
+    """Pair of frames of some transforms of a topic."""
 
     topic: str
     parent: str
@@ -46,8 +44,7 @@ class FramePair(NamedTuple):
     @property
     def name(self) -> str:
         """Name of the pair's own topic: the recorded topic and its frames."""
-        parent, child = self.parent or _UNNAMED, self.child or _UNNAMED
-        return f"{self.topic} {parent} -> {child}" if self.child else f"{self.topic} @ {parent}"
+        return f"{self.topic} {self.parent} -> {self.child}"
 
     @property
     def is_of_a_body(self) -> bool:
@@ -67,10 +64,7 @@ class FramePair(NamedTuple):
 def frame_pair(name: str) -> FramePair | None:
     """Return the frames in the name of a topic; None for other topics."""
     found = _NAME.fullmatch(name)
-    if found is None:
-        return None
-    topic, parent, child, only = found.groups()
-    return FramePair(topic, *("" if one in (None, _UNNAMED) else one for one in (parent or only, child)))
+    return None if found is None else FramePair(*found.groups())
 
 
 def listed(topics: Iterable[str]) -> list[str]:

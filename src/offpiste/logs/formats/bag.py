@@ -2,31 +2,28 @@
 
 import weakref
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import replace
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
-from rosbags.interfaces import Connection
 
 from offpiste.core.errors import LogError, SeveralLogs
 from offpiste.logs.clock_drift import common_step
 from offpiste.logs.log import LOG_FORMATS, Log, RawCloud, RawImage, Samples, SetBack, Times, Topic, contents_of
 from offpiste.logs.ros.bag_files import (
     MAGIC,
-    Head,
     MakeDecoder,
     Reader,
     field_getter,
     fields_of,
-    head_reader,
     open_readers,
     reported,
     stamp_of,
+    stamp_reader,
     storage_files,
     typestore_of,
     whole_messages,
@@ -77,7 +74,6 @@ class BagLog(Log):
         self.path = path
         self._kept: dict[int, dict[int, Columns]] = {}
         self._joints: dict[str, Joints] = {}
-        self._told_apart = False
         notes: list[str] = []
         with ExitStack() as stack:
             self._readers = open_readers(path, notes)
@@ -101,9 +97,6 @@ class BagLog(Log):
     @property
     def topics(self) -> dict[str, Topic]:
         """Topics by name; a topic that cannot be decoded has no fields, and the reason as its type."""
-        if not self._told_apart:
-            self._told_apart = True
-            self._topics |= {topic.name: topic for topic in self._senders_as_topics()}
         return self._topics
 
     @property
@@ -130,7 +123,7 @@ class BagLog(Log):
         columns = self._columns(result)
         if columns is not None:
             return np.concatenate([one.seconds(stamps) for one in columns])
-        heads = self._messages(result.name, result.type, lambda *given: head_reader(*given) or whole_messages(*given))
+        heads = self._messages(result.name, result.type, lambda *given: stamp_reader(*given) or whole_messages(*given))
         return np.array([stamp_of(received, head, stamps) for received, head in heads])
 
     def _describe(self, name: str, notes: list[str]) -> Topic:
@@ -174,33 +167,11 @@ class BagLog(Log):
                     result.append(Topic(one.name, STAMPED, counts[one], STAMPED_FIELDS, part_of=topic.name))
         return result
 
-    def _senders_as_topics(self) -> list[Topic]:
-        """Return a topic for each of several senders that alternate on one topic, by the frames of their messages."""
-        result: list[Topic] = []
-        for topic in list(self._topics.values()):
-            frames = [] if topic.part_of or not topic.fields else self._frames(topic)
-            counts = Counter(frames)
-            turns = sum(one != other for one, other in pairwise(frames))
-            if turns > len(frames) - max(counts.values(), default=0):  # alternating, not one sender after another
-                pairs = ((FramePair(topic.name, *each), count) for each, count in counts.items())
-                result += [replace(topic, name=one.name, count=count, part_of=topic.name) for one, count in pairs]
-        return result
-
-    def _frames(self, topic: Topic) -> list[tuple[str, str]]:
-        """Return the frames of each message in order of arrival; none without headers, or if damaged."""
-        columns = self._columns(topic)
-        if columns is not None:
-            known = {frames for one in columns for frames in one.frames}
-            return [one.frames[k] for one in columns for k in one.sender.tolist()] if len(known) > 1 else []
-        with suppress(LogError):
-            return [head.frames for _, head in self._messages(topic.name, topic.type, _heads)]
-        return []
-
     def _messages(self, name: str, msgtype: str, decoder: MakeDecoder = whole_messages) -> Iterator[tuple[int, Any]]:
         """Yield the arrival [ns] and the decoded message."""
-        one = frame_pair(name)
-        if one is not None:
-            yield from self._of_frames(one, msgtype, decoder)
+        if (one := frame_pair(name)) is not None:
+            for received, message in self._messages(one.topic, self._topics[one.topic].type):
+                yield from ((received, stamped) for stamped in one.of(message))
             return
         for reader in self._readers:
             connections = [c for c in reader.connections if c.topic == name and c.msgtype == msgtype]
@@ -210,22 +181,6 @@ class BagLog(Log):
             with reported(Path(str(reader.path)), f"topic '{name}' is damaged"):
                 for connection, received, raw in reader.messages(connections):
                     yield received, decoders[connection.id](raw)
-
-    def _of_frames(self, one: FramePair, msgtype: str, decoder: MakeDecoder) -> Iterator[tuple[int, Any]]:
-        """Yield the messages between two frames, or the transforms in messages with several."""
-        whole = self._topics[one.topic].type
-        if whole in TRANSFORMS:
-            for received, message in self._messages(one.topic, whole):
-                yield from ((received, stamped) for stamped in one.of(message))
-            return
-
-        def framed(connection: Connection, path: Path) -> Callable[[bytes], object]:
-            read, decode = _heads(connection, path), decoder(connection, path)
-            return lambda raw: (read(raw).frames, decode(raw))
-
-        for received, (frames, message) in self._messages(one.topic, msgtype, framed):
-            if frames == one[1:]:
-                yield received, message
 
     def _columns(self, topic: Topic) -> list[Columns] | None:
         """Return the columns of a topic, one per file; None if each message must be decoded.
@@ -326,14 +281,6 @@ class BagLog(Log):
             wanted = " or ".join(types)
             raise LogError(f"topic '{topic}' is {result.type}, not {wanted}", where=self.path, how="fix the rig")
         return self.messages(topic, stamps=stamps) if times is None else self._at(self._find(topic), times, stamps)
-
-
-def _heads(connection: Connection, path: Path) -> Callable[[bytes], Head]:
-    """Return a decoder of the headers of messages; refuse messages without a header."""
-    read = head_reader(connection, path)
-    if read is None:
-        raise LogError("no header", where=path)
-    return read
 
 
 def _others(readers: Sequence[Reader], path: Path) -> list[str]:

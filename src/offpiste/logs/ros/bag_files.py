@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection, ConnectionExtRosbag1, MessageDefinition, MessageDefinitionFormat, Nodetype
@@ -32,7 +32,7 @@ MAX_ENTRIES = 36
 
 
 def stamp_of(received: int, message: object, stamps: str) -> float:
-    """Return the time of a message, or of its `Head`, by its header (or a stamp in its place) or its arrival [s]."""
+    """Return the time of a message or of a stamp [ns], by its header (or a stamp in its place) or its arrival [s]."""
     return ((stamps == "header" and _own_stamp(message)) or received) / 10**9  # exact, unlike 1e9
 
 
@@ -51,8 +51,8 @@ def heard_at(received: float, message: object, stamps: str) -> float:
 
 def _own_stamp(message: Any) -> int:
     """Return the stamp in a message's header, or in the message itself (Autoware's) [ns]; 0 without a stamp."""
-    if isinstance(message, Head):
-        return message.stamp
+    if isinstance(message, int):
+        return message
     header = getattr(message, "header", None)
     stamp = getattr(message if header is None else header, "stamp", None)
     if header is None and not (hasattr(stamp, "sec") and hasattr(stamp, "nanosec")):
@@ -104,33 +104,17 @@ def whole_messages(connection: Connection, path: Path) -> Callable[[bytes], obje
     return decode
 
 
-class Head(NamedTuple):
-    """Header of a serialised message."""
-
-    stamp: int  # [ns]
-    frames: tuple[str, str]  # its frame, and its child frame or ""
-    end: int  # position behind it [bytes]
-
-
-def head_reader(connection: Connection, path: Path) -> Callable[[bytes], Head] | None:
-    """Return a function that reads a message's header without decoding the message; None for messages without one."""
+def stamp_reader(connection: Connection, path: Path) -> Callable[[bytes], int] | None:
+    """Return a function that reads the stamp of a message's header alone [ns]; None for messages without a header."""
     fields = typestore_of(connection, path).get_msgdef(connection.msgtype).fields
     if not fields or fields[0][1] != (Nodetype.NAME, "std_msgs/msg/Header"):
         return None
-    count = 1 + (len(fields) > 1 and fields[1][0] == "child_frame_id" and fields[1][1][0] == Nodetype.BASE)
     is_ros1 = _encoding(connection) == "ros1"
 
-    def read(raw: bytes) -> Head:
+    def read(raw: bytes) -> int:
         # ROS 1: a count, then seconds and nanoseconds; ROS 2: four bytes with the byte order, then the same two.
-        order = "<" if is_ros1 or raw[1] & 1 else ">"
-        seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, 4)
-        at, texts = 12, ["", ""]
-        for k in range(count):
-            at += 0 if is_ros1 else -at % 4
-            (length,) = struct.unpack_from(f"{order}I", raw, at)
-            texts[k] = bytes(raw[at + 4 : at + 4 + length]).rstrip(b"\0").decode(errors="replace").lstrip("/")
-            at += 4 + length
-        return Head(seconds * 10**9 + nanoseconds, (texts[0], texts[1]), at)
+        seconds, nanoseconds = struct.unpack_from("<iI" if is_ros1 or raw[1] & 1 else ">iI", raw, 4)
+        return int(seconds * 10**9 + nanoseconds)
 
     return read
 

@@ -22,7 +22,7 @@ from rosbags.typesys.store import Typestore
 
 from offpiste.core.errors import LogError
 from offpiste.core.limits import LARGEST
-from offpiste.logs.ros.bag_files import field_getter, head_reader, reported, typestore_of
+from offpiste.logs.ros.bag_files import field_getter, reported, typestore_of
 
 _HEAD: Final = 31
 """Size of a message record's head: opcode, length, channel, sequence, two times [bytes]."""
@@ -119,8 +119,6 @@ class Columns:
     arrival: Int[np.ndarray, " n"]  # arrival, stamp: by the recorder and by the message, 0 if it has none [ns]
     stamp: Int[np.ndarray, " n"]
     filed: Int[np.ndarray, " n"]  # `arrival` in file order [ns]
-    frames: tuple[tuple[str, str], ...]  # distinct frames of the messages (`head_reader`); empty without a header
-    sender: Int[np.ndarray, " n"]  # index into `frames` of each message
     fields: tuple[str, ...]  # a column of `values` each; empty for messages that are long or change their layout
     values: Float[np.ndarray, "n k"]
 
@@ -131,7 +129,7 @@ class Columns:
 
 
 class _Topic:
-    """Data of a connection gathered over chunks: rows of arrival, stamp and sender, and of values while regular."""
+    """Data of a connection gathered over chunks: rows of arrival and stamp, and of values while regular."""
 
     def __init__(self, connection: Connection, path: Path) -> None:
         if getattr(connection.ext, "serialization_format", "") != "cdr":
@@ -141,12 +139,10 @@ class _Topic:
         self.headed = bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADS.get(fields[0][0]))
         if set(_HEADS) & {name for name, _ in fields[self.headed :]}:
             raise LogError("has its stamp elsewhere")
-        self.head_of = head_reader(connection, Path())
         self.layout: _Layout | None = None
         self.regular = True
-        self.times: list[Int[np.ndarray, "m 3"]] = []
+        self.times: list[Int[np.ndarray, "m 2"]] = []
         self.values: list[Float[np.ndarray, "m k"]] = []
-        self.frames: dict[tuple[str, str], int] = {}
 
     def gather(self, data: UInt8[np.ndarray, " n"], index: Int[np.ndarray, "m 2"]) -> None:
         """Append the messages of a chunk, given their arrivals and positions."""
@@ -158,7 +154,7 @@ class _Topic:
             if size.min() < 12 or not (head[:, 1] == 1).all():
                 raise ValueError("messages without a little-endian header")
             stamp = _numbers_at(head, 4, "i4").astype(np.int64) * 10**9 + _numbers_at(head, 8, "u4")
-        self.times.append(np.column_stack((index[:, 0], stamp, self._senders(data, begin, size))))
+        self.times.append(np.column_stack((index[:, 0], stamp)))
         if not self.values and self.regular:
             first = data[begin[0] : begin[0] + size[0]].tobytes()
             self.layout = _layout(self.store, self.msgtype, first)
@@ -173,29 +169,13 @@ class _Topic:
         columns = [_numbers_at(rows, at, kind).astype(float) for at, kind in known.fields.values()]
         self.values.append(np.stack(columns, axis=1) if columns else np.zeros((len(rows), 0)))
 
-    def _senders(
-        self, data: UInt8[np.ndarray, " n"], begin: Int[np.ndarray, " m"], size: Int[np.ndarray, " m"]
-    ) -> Int[np.ndarray, " m"]:
-        """Return the index into `frames` of each message."""
-        if self.head_of is None:
-            return np.zeros(len(begin), np.int64)
-        _, frames, end = self.head_of(data[begin[0] : begin[0] + size[0]].tobytes())
-        number = self.frames.setdefault(frames, len(self.frames))
-        if size.min() >= end:
-            rows = _rows(data, begin + 12, end - 12)
-            if (rows == rows[0]).all():
-                return np.full(len(begin), number)
-        each = (self.head_of(data[at : at + n].tobytes()).frames for at, n in zip(begin, size, strict=True))
-        return np.array([self.frames.setdefault(frames, len(self.frames)) for frames in each])
-
     def columns(self) -> Columns:
         """Return all messages in order of arrival."""
         times = np.concatenate(self.times)
         order = np.argsort(times[:, 0], kind="stable")
         fields = tuple(self.layout.fields) if self.regular and self.layout is not None else ()
         values = np.concatenate(self.values)[order] if fields else np.zeros((len(times), 0))
-        arrival, stamp, sender = times[order].T
-        return Columns(arrival, stamp, times[:, 0], tuple(self.frames), sender, fields, values)
+        return Columns(*times[order].T, times[:, 0], fields, values)
 
 
 def columns_of(reader: object, path: Path) -> dict[int, Columns]:
