@@ -129,7 +129,6 @@ def test_every_compression(compression: str) -> None:
     assert inflated(packed, compression) == MEGABYTE
     with pytest.raises(EOFError):
         inflated(packed[:-8], compression)
-    assert MEGABYTE.startswith(inflated(packed[:-8], compression, whole=False))
 
 
 def test_rosbags_decompresses_with_limits() -> None:

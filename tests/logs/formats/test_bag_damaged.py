@@ -72,23 +72,30 @@ def test_damaged_chunk_is_an_error_or_skipped(tmp_path: Path) -> None:
     assert log.warnings == (f"{path}: damaged records that are skipped: 1",)
 
 
-def test_truncated_ros1_bag(tmp_path: Path) -> None:
-    path = ros1_bag(tmp_path / "a.bag", 30)
-    path.write_bytes(path.read_bytes()[:-300])
-    with pytest.raises(LogError, match=r"a\.bag: cannot be read: .*; repair it with `rosbag reindex FILE`, or record"):
-        BagLog(path)
+def truncated(path: Path, size: int) -> Path:
+    path.write_bytes(path.read_bytes()[:size])
+    return path
 
 
-def test_truncated_db3(tmp_path: Path) -> None:
-    folder = ros2_folder(tmp_path / "drive", StoragePlugin.SQLITE3, twists(300))
-    path = folder / "drive.db3"
-    path.write_bytes(path.read_bytes()[:20_000])
-    with pytest.raises(
-        LogError, match=r"drive\.db3: cannot be read: .*malformed; repair it with `sqlite3 FILE \.recov"
+def test_truncated_and_wrong_files(tmp_path: Path) -> None:
+    database = ros2_folder(tmp_path / "drive", StoragePlugin.SQLITE3, twists(300))
+    for path, what in (
+        (
+            truncated(ros1_bag(tmp_path / "cut.bag", 30), -300),
+            "cannot be read: .*; repair it with `rosbag reindex FILE`, or",
+        ),
+        (truncated(database / "drive.db3", 20_000), "cannot be read: .*malformed; repair it with `sqlite3 FILE .recov"),
+        (database, "cannot be read: .*malformed; repair it with `ros2 bag reindex FOLDER`"),
+        (mcap_file(tmp_path / "a.bag", twists(1)), r"not a \.bag file; it is a \.mcap file: rename it"),
     ):
-        BagLog(path)
-    with pytest.raises(LogError, match=r"drive: cannot be read: .*malformed; repair it with `ros2 bag reindex FOLDER`"):
-        BagLog(folder)
+        with pytest.raises(LogError, match=rf"{path.name}: {what}"):
+            BagLog(path)
+    for ending in (".bag", ".mcap", ".db3"):
+        path = tmp_path / f"b{ending}"
+        for content, what in ((b"", "the file is empty"), (b"\x89PNG\r\n\x1a\n" + bytes(100), f"not a {ending} file")):
+            path.write_bytes(content)
+            with pytest.raises(LogError, match=rf"b{ending}: {what}; .*copy it again"):
+                BagLog(path)
 
 
 def test_messages_left_in_the_write_ahead_file_are_told(tmp_path: Path) -> None:
@@ -96,22 +103,6 @@ def test_messages_left_in_the_write_ahead_file_are_told(tmp_path: Path) -> None:
     path.with_name("drive.db3-wal").write_bytes(b"x")
     (warning,) = BagLog(path).warnings
     assert "drive.db3-wal: messages not yet moved into the .db3 are not read" in warning
-
-
-@pytest.mark.parametrize("ending", [".bag", ".mcap", ".db3"])
-def test_empty_and_wrong_files(tmp_path: Path, ending: str) -> None:
-    path = tmp_path / f"a{ending}"
-    path.write_bytes(b"")
-    with pytest.raises(LogError, match=rf"a\{ending}: the file is empty; record or copy it again"):
-        BagLog(path)
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
-    with pytest.raises(LogError, match=rf"a\{ending}: not a {ending} file; it is damaged, or of another format"):
-        BagLog(path)
-
-
-def test_mcap_renamed_to_bag(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"not a \.bag file; it is a \.mcap file: rename it"):
-        BagLog(mcap_file(tmp_path / "a.bag", twists(1)))
 
 
 def write_bag(path: Path) -> None:

@@ -86,11 +86,6 @@ def test_the_unit_of_a_clock_follows_from_its_name_rate_or_size(tmp_path, name, 
     np.testing.assert_allclose(np.diff(log.stamps("")), step * SECONDS_PER_UNIT[unit], rtol=2e-2, atol=1e-6)
 
 
-def test_a_dash_is_an_empty_cell(tmp_path: Path) -> None:
-    log = table(tmp_path, "t,pedal,x\n0,-,1\n1,5.5,--\n2,-5.5,3\n")
-    np.testing.assert_array_equal(log.read("", ["pedal", "x"]).values, [[np.nan, 1], [5.5, np.nan], [-5.5, 3]])
-
-
 def test_units_in_cells_are_those_of_their_column(tmp_path: Path) -> None:
     rows = "".join(f"{50 * k} ms,{3.6 * k:.1f} km/h,{k} %,{'1 s' if k % 2 else '1 m'}\n" for k in range(20))
     log = table(tmp_path, f"time,speed,pedal,mixed\n{rows}")
@@ -182,14 +177,6 @@ def test_cells(tmp_path: Path) -> None:
         log.read("", ["name"])
 
 
-@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
-def test_text_in_utf_16_is_read_also_where_its_last_row_is_cut(tmp_path: Path, encoding: str) -> None:
-    text = "t\tLänge\n" + "".join(f"{i}\t{2 * i}\n" for i in range(50)) + "50"
-    log = table(tmp_path, ("\ufeff" + text).encode(encoding))
-    assert column(log, "Länge") == [2.0 * i for i in range(50)]
-    assert any("the last row is cut off" in note for note in log.warnings)
-
-
 def test_words_on_each_column_may_stand_below_its_unit(tmp_path: Path) -> None:
     header = "Time;PosX;VehSpd;\ns;m;km/h;\nMeasurement time;Position east;Vehicle speed;\n"
     log = table(tmp_path, header + "".join(f"{i / 50};{i};{2 * i};\n" for i in range(60)))
@@ -212,14 +199,46 @@ def test_one_bad_cell_is_named_when_its_column_is_read(tmp_path: Path, bad_row: 
         log.read("", ["y"])
 
 
-def test_semicolons_and_decimal_commas(tmp_path: Path) -> None:
-    log = table(tmp_path, "\ufefft;x;note\r\n0;1,5;a, b\r\n1;-2,5;c\r\n")
-    assert log.warnings == ("columns are separated by ';', decimals by ','",)
-    assert log.topics[""].fields == ("t", "x")
-    assert column(log, "x") == [1.5, -2.5]
-    log = table(tmp_path, "t;x\n0;1.5\n")
-    assert log.warnings == ("columns are separated by ';'",)
-    assert column(log, "x") == [1.5]
+MOTEC = (
+    '"Format","MoTeC CSV File",,,"Workbook","Test"\n"Venue","Quarry",,,"Worksheet",""\n"Vehicle","Buggy"\n'
+    '"Sample Rate","50.000","Hz"\n\n"Time","Throttle Pos","Gear"\n"s","%",""\n'
+    '\n"0.000","12.5","1"\n"0.020","13.0","1"\n'
+)
+TUM = "# ground truth trajectory\n# file: 'drive.bag'\n# timestamp tx ty tz qx qy qz qw\n"
+POSE = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+UTF_16 = "\ufefft\tLänge\n" + "".join(f"{i}\t{2 * i}\n" for i in range(50)) + "50"
+CUT_TABS = ("columns are separated by 'tab'", "the last row is cut off after 1 cells, and left out")
+CUT_SPACES = ("columns are separated by spaces", "the last row is cut off after 2 cells, and left out")
+
+
+@pytest.mark.parametrize(
+    ("text", "fields", "values", "warnings"),
+    [
+        ("t,pedal,x\n0,-,1\n1,5.5,--\n2,-5.5,3\n", ("t", "pedal", "x"), [np.nan, 5.5, -5.5], ()),
+        ("\ufefft;x;note\r\n0;1,5;a, b\r\n1;-2,5;c\r\n", ("t", "x"), [1.5, -2.5],
+         ("columns are separated by ';', decimals by ','",)),
+        ("t;x\n0;1.5\n", ("t", "x"), [1.5], ("columns are separated by ';'",)),
+        ("     t     x  gear\n" + "".join(f"  {0.1 * k:6.2f} {k:5d}   D\n" for k in range(12)) + "  1.20  1",
+         ("t", "x", "gear"), range(12), CUT_SPACES),
+        (TUM + "".join(f"{0.1 * k:.2f} {k} 0 0 0 0 0 1\n" for k in range(12)), POSE, range(12),
+         ("2 lines before the header are left out", *CUT_SPACES[:1])),
+        ("% throttle,% brake,t\n1,2,0\n3,4,1\n", ("% throttle", "% brake", "t"), [2, 4], ()),
+        *((UTF_16.encode(code), ("t", "Länge"), range(0, 100, 2), CUT_TABS) for code in ("utf-16-le", "utf-16-be")),
+        ("gps,gps,gps,imu\nt,x,y,ax\n" + "".join(f"{row},1,2,3\n" for row in range(5)), ("t", "x", "y", "ax"), [1] * 5,
+         ("1 lines before the header are left out",)),
+        (MOTEC, ("Time", "Throttle Pos", "Gear"), [12.5, 13.0], ("5 lines before the header are left out",)),
+    ],
+)  # fmt: skip
+def test_dialects(tmp_path: Path, text: str | bytes, fields: tuple, values: list, warnings: tuple) -> None:
+    log = table(tmp_path, text)
+    assert (log.topics[""].fields, log.warnings) == (fields, warnings)
+    np.testing.assert_array_equal(column(log, fields[1]), values)
+    assert log.topics[""].units.get("Throttle Pos", "percent") == "percent"
+
+
+def test_a_text_with_rows_of_numbers_is_a_table(tmp_path: Path) -> None:
+    (tmp_path / "drive.txt").write_text(TUM + "0.1 1 0 0 0 0 0 1\n" * 9)
+    assert open_log(tmp_path / "drive.txt").topics[""].fields == POSE
 
 
 @pytest.mark.parametrize(("separator", "comment"), [(" ", ""), (" ", "# "), ("\t", "% "), (";", "%"), (",", "// ")])
@@ -229,28 +248,6 @@ def test_tables_of_numpy_savetxt(tmp_path: Path, separator: str, comment: str) -
     log = TableLog(tmp_path / "drive.csv")
     assert log.topics[""].fields == ("t", "x", "y")
     np.testing.assert_array_equal(log.read("", ["x", "y"]).values, rows[:, 1:])
-
-
-def test_columns_that_are_aligned_by_spaces(tmp_path: Path) -> None:
-    log = table(
-        tmp_path, "     t     x  gear\n" + "".join(f"  {0.1 * k:6.2f} {k:5d}   D\n" for k in range(12)) + "  1.20  1"
-    )
-    assert log.topics[""].fields == ("t", "x", "gear")
-    assert log.warnings == ("columns are separated by spaces", "the last row is cut off after 2 cells, and left out")
-    assert column(log, "x") == list(range(12))
-
-
-@pytest.mark.parametrize("name", ["drive.txt", "drive.csv", "drive.tsv"])
-def test_a_trajectory_in_the_format_of_tum(tmp_path: Path, name: str) -> None:
-    header = "# ground truth trajectory\n# file: 'drive.bag'\n# timestamp tx ty tz qx qy qz qw\n"
-    (tmp_path / name).write_text(header + "".join(f"{0.1 * k:.2f} {k} 0 0 0 0 0 1\n" for k in range(12)))
-    log = open_log(tmp_path / name)
-    assert log.topics[""].fields == ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
-    assert column(log, "tx") == list(range(12))
-
-
-def test_signs_of_percent_before_several_names_are_units(tmp_path: Path) -> None:
-    assert table(tmp_path, "% throttle,% brake,t\n1,2,0\n3,4,1\n").topics[""].fields[0] == "% throttle"
 
 
 @pytest.mark.parametrize("name", ["x", "#x", "# x"])
@@ -391,27 +388,6 @@ def test_a_word_that_is_no_gear_is_named(tmp_path: Path, ending: str) -> None:
         log.read("", ["way"])
     with pytest.raises(LogError, match="column 'place' holds text, such as 'here', and no numbers"):
         log.read("", ["place"])
-
-
-def test_names_of_groups_above_the_names_of_columns_are_left_out(tmp_path: Path) -> None:
-    log = table(tmp_path, "gps,gps,gps,imu\nt,x,y,ax\n" + "".join(f"{row},1,2,3\n" for row in range(5)))
-    assert log.topics[""].fields == ("t", "x", "y", "ax")
-    assert log.warnings == ("1 lines before the header are left out",)
-
-
-MOTEC = (
-    '"Format","MoTeC CSV File",,,"Workbook","Test"\n"Venue","Quarry",,,"Worksheet",""\n"Vehicle","Buggy"\n'
-    '"Sample Rate","50.000","Hz"\n\n"Time","Throttle Pos","Gear"\n"s","%",""\n'
-    '\n"0.000","12.5","1"\n"0.020","13.0","1"\n'
-)
-
-
-def test_lines_of_a_logger_before_the_header_are_left_out(tmp_path: Path) -> None:
-    log = table(tmp_path, MOTEC)
-    assert log.warnings == ("5 lines before the header are left out",)
-    assert log.topics[""].fields == ("Time", "Throttle Pos", "Gear")
-    assert log.topics[""].units["Throttle Pos"] == "percent"
-    assert column(log, "Throttle Pos") == [12.5, 13.0]
 
 
 def test_columns_of_structs_are_their_fields(tmp_path: Path) -> None:

@@ -6,10 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bag_files import ROS2, START, custom, mcap_file, twist
+from bag_files import ROS2, START, custom, mcap_file
 from offpiste.core.errors import LogError
 from offpiste.logs import open_log
-from offpiste.logs.ros import mcap_columns
 from offpiste.logs.ros.bag_files import heard_at
 from offpiste.logs.ros.writer import McapWriter, floats, header, make
 from sensor_bags import IMAGE, SECOND, cloud, compressed, odometry, record, stamp
@@ -136,13 +135,3 @@ def test_a_header_of_zero_gives_way_to_the_arrival(tmp_path):
     quick, plain = both(record(tmp_path / "log.mcap", [(0.5, "/unstamped", message)]))
     same(quick, plain, "/unstamped")
     assert quick.stamps("/unstamped").tolist() == [100.5]
-
-
-def test_large_chunks_are_decompressed_one_at_a_time(tmp_path, monkeypatch):
-    path = mcap_file(tmp_path / "log.mcap", [twist(ROS2, k) for k in range(20)])
-    log, events, content = open_log(path), [], mcap_columns._content
-    monkeypatch.setattr(mcap_columns, "_content", lambda *given: events.append("decompressed") or content(*given))
-    monkeypatch.setattr(mcap_columns, "LARGEST", 1)
-    for _ in mcap_columns._chunks(log._readers[0].storage):
-        events.append("used")
-    assert events == ["decompressed", "used"] * max(len(events) // 2, 3)

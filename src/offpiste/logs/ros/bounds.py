@@ -49,12 +49,8 @@ _DECOMPRESSORS: Final[dict[str, Callable[[], Any]]] = {
 }
 
 
-def inflated(data: bytes, compression: str, *, whole: bool = True) -> bytes:
-    """Decompress a chunk or a message by bz2, lz4, zstd, or "" for none, up to `LARGEST`.
-
-    Args:
-        whole: raise EOFError for truncated data instead of returning their beginning.
-    """
+def inflated(data: bytes, compression: str) -> bytes:
+    """Decompress a chunk or a message by bz2, lz4, zstd, or "" for none, up to `LARGEST`."""
     parts: list[bytes] = []
     size = 0
     if not compression:
@@ -67,9 +63,7 @@ def inflated(data: bytes, compression: str, *, whole: bool = True) -> bytes:
             given = b""
             size += len(parts[-1])
             if not parts[-1] and one.needs_input:
-                if whole:
-                    raise EOFError("compressed data are cut short")
-                break
+                raise EOFError("compressed data are cut short")
         data = (one.unused_data or b"") if one.eof and size <= LARGEST else b""
     if size > LARGEST:
         parts.clear()  # the error keeps this frame alive

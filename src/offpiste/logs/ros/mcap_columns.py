@@ -21,7 +21,6 @@ from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
 from rosbags.typesys.store import Typestore
 
 from offpiste.core.errors import LogError
-from offpiste.core.limits import LARGEST
 from offpiste.logs.ros.bag_files import field_getter, reported, typestore_of
 
 _HEAD: Final = 31
@@ -206,23 +205,18 @@ _Index = dict[int, Int[np.ndarray, "_ 2"]]
 
 
 def _chunks(storage: McapReader) -> Iterator[tuple[_Index, UInt8[np.ndarray, " n"]]]:
-    """Yield the message index and the content of each chunk; meanwhile the next is decompressed, if both fit."""
-    following: tuple[_Index, Future[Any]] | None = None
-    size = 0
+    """Yield the message index and the content of each chunk; meanwhile the next is decompressed."""
+    ready: tuple[_Index, Future[Any]] | None = None
     with Path(str(storage.path)).open("rb") as file, ThreadPoolExecutor(1) as pool:
         for chunk in sorted(storage.chunks, key=lambda one: one.chunk_start_offset):
-            if following is not None and size + chunk.uncompressed_size > LARGEST:
-                yield following[0], following[1].result()
-                following = None
-            size = chunk.uncompressed_size
             file.seek(chunk.chunk_start_offset)
             record = file.read(chunk.chunk_length + chunk.message_index_length)
-            ready = following
-            following = _message_index(memoryview(record)[chunk.chunk_length :]), pool.submit(_content, record, chunk)
-            if ready is not None:
-                yield ready[0], ready[1].result()
-        if following is not None:
-            yield following[0], following[1].result()
+            index = _message_index(memoryview(record)[chunk.chunk_length :])
+            given, ready = ready, (index, pool.submit(_content, record, chunk))
+            if given is not None:
+                yield given[0], given[1].result()
+        if ready is not None:
+            yield ready[0], ready[1].result()
 
 
 def _content(record: bytes, chunk: ChunkInfo) -> UInt8[np.ndarray, " n"]:

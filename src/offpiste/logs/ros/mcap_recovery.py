@@ -15,7 +15,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefiniti
 from rosbags.typesys.msg import normalize_msgtype
 
 from offpiste.core.errors import LogError, TooLarge
-from offpiste.core.limits import LARGEST, refuse_larger, zstd
+from offpiste.core.limits import refuse_larger, zstd
 from offpiste.logs.ros.bounds import inflated
 
 _FORMATS = {
@@ -105,31 +105,31 @@ class StreamedMcap:
             self._finished = opcode in (Opcode.DATA_END, Opcode.FOOTER)
             if self._finished or opcode == 0:  # a crash can leave blocks of zeros at the end
                 return
-            if length <= size - file.tell():
-                if opcode not in (Opcode.CHUNK, *_READERS):
-                    file.seek(length, SEEK_CUR)
-                    continue
-                refuse_larger(length, "a record of it", where=self.path)
-            body = file.read(min(length, LARGEST))
-            whole = len(body) == length
+            if length > size - file.tell():
+                return
+            if opcode not in (Opcode.CHUNK, *_READERS):
+                file.seek(length, SEEK_CUR)
+                continue
+            refuse_larger(length, "a record of it", where=self.path)
+            body = file.read(length)
             try:
                 if opcode == Opcode.CHUNK and not in_chunk:
-                    data = _unpack(Chunk.read(ReadDataStream(BytesIO(body))), whole=whole)
+                    data = _unpack(Chunk.read(ReadDataStream(BytesIO(body))))
                     yield from self._walk(BytesIO(data), len(data))
-                elif whole and opcode in _READERS:
+                elif opcode in _READERS:
                     yield _READERS[opcode](body)
             except TooLarge as error:
                 raise TooLarge(error.what, where=self.path, how=error.how) from error
             except _DAMAGE:
-                self._damaged += whole
+                self._damaged += 1
 
 
-def _unpack(chunk: Chunk, *, whole: bool) -> bytes:
-    """Decompress a chunk; of a truncated one as much as possible."""
+def _unpack(chunk: Chunk) -> bytes:
+    """Decompress a chunk."""
     if chunk.compression not in ("", "lz4", "zstd"):
         raise ValueError(f"unknown compression {chunk.compression}")
-    data = inflated(chunk.data, chunk.compression, whole=whole)
-    if whole and chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+    data = inflated(chunk.data, chunk.compression)
+    if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise ValueError("checksum mismatch")
     return data
 
