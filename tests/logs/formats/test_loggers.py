@@ -35,14 +35,6 @@ ROWS = "\n".join(
 )
 
 
-@pytest.mark.parametrize("encoding", ["latin-1", "utf-8"])
-def test_degrees_of_racelogic_are_read_in_either_encoding(tmp_path: Path, encoding: str) -> None:
-    path = tmp_path / "a.vbo"
-    path.write_bytes(RACELOGIC.format(units="° \n%", rows=ROWS).encode(encoding))
-    log = open_log(path)
-    assert log.topics[""].units["Steering (°)"] == "deg"
-
-
 def test_text_of_windows_is_read_and_said_to_be(tmp_path: Path) -> None:
     """An accent far behind the first lines is found as well."""
     path = tmp_path / "a.csv"
@@ -92,16 +84,21 @@ def test_a_file_of_racechrono_has_its_units_and_tells_two_columns_of_one_name_ap
     assert guesses[0] == ("speed (103: obd)",)  # not that of the receiver
 
 
-@pytest.mark.parametrize("units", ["deg\n%", "(null)\n" * 4 + "km/h\n(null)\nm\n(null)\ndeg\n%"])
-@pytest.mark.parametrize(("ending", "newline"), [(".vbo", "\r\n"), (".txt", "\n")])
-def test_a_file_of_racelogic_has_degrees_to_the_east(tmp_path: Path, units: str, ending: str, newline: str) -> None:
+@pytest.mark.parametrize("units", ["deg\n%", "°\n%", "(null)\n" * 4 + "km/h\n(null)\nm\n(null)\ndeg\n%"])
+@pytest.mark.parametrize(
+    ("ending", "newline", "encoding"), [(".vbo", "\r\n", "latin-1"), (".txt", "\n", "latin-1"), (".vbo", "\n", "utf-8")]
+)
+def test_a_file_of_racelogic_has_degrees_to_the_east(
+    tmp_path: Path, units: str, ending: str, newline: str, encoding: str
+) -> None:
     """Minutes of longitude count to the west; units are listed for all columns or for the last ones."""
     path = tmp_path / f"VBOX0001{ending}"
-    path.write_bytes(RACELOGIC.format(units=units, rows=ROWS).replace("\n", newline).encode("latin-1"))
-    log = open_log(path)
-    fields = log.topics[""].fields
-    assert {"latitude (deg)", "longitude (deg)", "velocity (km/h)", "Steering (deg)", "Throttle (%)"} <= set(fields)
-    samples = log.read("", ["latitude (deg)", "longitude (deg)", "Steering (deg)"])
+    path.write_bytes(RACELOGIC.format(units=units, rows=ROWS).replace("\n", newline).encode(encoding))
+    log, angle = open_log(path), f"Steering ({'°' if '°' in units else 'deg'})"
+    topic = log.topics[""]
+    assert {"latitude (deg)", "longitude (deg)", "velocity (km/h)", angle, "Throttle (%)"} <= set(topic.fields)
+    assert topic.units[angle] == "deg"
+    samples = log.read("", ["latitude (deg)", "longitude (deg)", angle])
     np.testing.assert_allclose(samples.values[0], [3124.2 / 60, -60.899 / 60, 0.0])
     np.testing.assert_allclose(np.diff(samples.time), 0.05, atol=1e-6)
     assert samples.values[-1, 2] == 59.0

@@ -174,7 +174,8 @@ class _Topic:
         order = np.argsort(times[:, 0], kind="stable")
         fields = tuple(self.layout.fields) if self.regular and self.layout is not None else ()
         values = np.concatenate(self.values)[order] if fields else np.zeros((len(times), 0))
-        return Columns(*times[order].T, times[:, 0], fields, values)
+        arrival, stamp = times[order].T
+        return Columns(arrival, stamp, times[:, 0], fields, values)
 
 
 def columns_of(reader: object, path: Path) -> dict[int, Columns]:
