@@ -85,7 +85,7 @@ def guess_channels(log: Log, namespace: str = "") -> list[Guess]:
 
 
 def _is_of_a_body(part: Topic) -> bool:
-    """Return True for a part with a body transform; alternating senders are guessed from the whole topic."""
+    """Return True for a transform of a body."""
     pair = frame_pair(part.name)
     return pair is not None and pair.is_of_a_body
 
