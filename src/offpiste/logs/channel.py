@@ -148,12 +148,12 @@ def _clean(
     # Clipped last: an infinite or invalid value is dropped as a fault, not limited.
     values = convert(name, msgspec.structs.replace(source, clip=None), samples.values, vehicle)
     time, notes = samples.time - source.delay, []
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         bad = ~((np.abs(values) <= largest(name)).all(axis=1) & np.isfinite(time))
         if source.valid is not None:
             bad |= ((values < source.valid[0]) | (values > source.valid[1])).any(axis=1)
-    if name == "orientation":
-        bad |= ~(np.abs(np.linalg.norm(values, axis=1) - 1) < 0.05)
+        if name == "orientation":
+            bad |= ~(np.abs(np.linalg.norm(values, axis=1) - 1) < 0.05)
     empty = between_samples(np.isnan(values).all(axis=1))
     if (lost := bad & ~empty).any():
         of = f"{lost.sum()} of {(~empty).sum()} samples"
