@@ -24,27 +24,18 @@ LONGEST_LINE = 700
 
 @dataclass(frozen=True)
 class Case:
-    """Result of a case.
-
-    Attributes:
-        mutation: description of the mutation.
-        verdict: ok, refused, traceback, hang, memory, killed, or wrong message.
-        why: message, or last line of a traceback.
-        memory: largest resident memory [MB].
-        warnings: number of Python warnings on standard error.
-    """
+    """Result of a case."""
 
     case: int
     seed: int
     kind: str
     source: str
     command: str
-    mutation: str
-    verdict: str
-    why: str
+    mutation: str  # in words
+    verdict: str  # ok, refused, traceback, hang, memory, killed, or wrong message
+    why: str  # message, or last line of a traceback
     seconds: float
-    memory: int
-    warnings: int
+    memory: int  # largest resident memory [MB]
 
     def as_line(self) -> str:
         return json.dumps(asdict(self))
@@ -67,10 +58,9 @@ def run_case(number: int, seed: int, corpus: Sequence[Sound], folder: Path) -> C
     given = copy / sound.input if sound.input else copy
     outcome = run_isolated(partial(_run, command, given, folder), folder)
     verdict, why = verdict_of(outcome, command.split()[0])
-    warnings = sum("Warning: " in line for line in outcome.err.splitlines())
     return Case(
         number, seed, sound.kind, sound.files.name, command.split()[0], mutation, verdict, why,
-        round(outcome.seconds, 2), outcome.memory >> 20, warnings,
+        round(outcome.seconds, 2), outcome.memory >> 20,
     )  # fmt: skip
 
 

@@ -29,27 +29,16 @@ Rewrite = Callable[[Path, Generator], str]
 
 @dataclass(frozen=True)
 class Sound:
-    """Valid input.
+    """Valid input."""
 
-    Attributes:
-        kind: kind in the summary.
-        files: file or folder to copy.
-        commands: commands with the placeholders `{input}` and `{out}`.
-        input: argument of the commands, relative to the copy; "" for all.
-        rewrite: rewriting of the copy; without it only bytes and text are mutated.
-        share: relative frequency.
-        recorded: part of a real drive.
-        seal: writes new checksums.
-    """
-
-    kind: str
-    files: Path
-    commands: tuple[str, ...]
-    input: str = ""
-    rewrite: Rewrite | None = None
-    share: float = 1.0
-    recorded: bool = False
-    seal: Callable[[Path], None] | None = None
+    kind: str  # in the summary
+    files: Path  # file or folder to copy
+    commands: tuple[str, ...]  # with the placeholders `{input}` and `{out}`
+    input: str = ""  # argument of the commands, relative to the copy; "" for all
+    rewrite: Rewrite | None = None  # of the copy; without it only bytes and text are mutated
+    share: float = 1.0  # relative frequency
+    recorded: bool = False  # part of a real drive
+    seal: Callable[[Path], None] | None = None  # writes new checksums
 
 
 def run_command(line: str, **places: object) -> None:
@@ -161,19 +150,17 @@ def _absurd_drive(copy: Path, rng: Generator) -> str:
 
 
 def _absurd_tensors(copy: Path, rng: Generator) -> str:
-    """A safetensors file with absurd values in one tensor, or another shape."""
+    """A safetensors file with absurd values in one tensor, or another shape or type."""
     with safe_open(copy, framework="numpy") as file:
         tensors, about = {name: file.get_tensor(name) for name in file.keys()}, file.metadata()  # noqa: SIM118
     name = str(rng.choice(sorted(tensors)))
-    if rng.random() < 0.7:
-        tensors[name], how = mutate_values(tensors[name], rng)
-    else:
-        shape = tensors[name].shape
-        other = {"cut": tensors[name][:-1], "flat": tensors[name].ravel(), "empty": tensors[name][:0]} if shape else {}
-        other |= {"ints": tensors[name].astype(np.int32), "doubles": tensors[name].astype(np.float64)}
-        how = str(rng.choice(sorted(other)))
-        tensors[name] = np.ascontiguousarray(other[how])
-    save_file({key: np.ascontiguousarray(value) for key, value in tensors.items()}, copy, metadata=about)
+    values, how = mutate_values(tensors[name], rng)
+    flat = tensors[name].reshape(-1)
+    others = {"cut": flat[:-1], "flat": flat, "empty": flat[:0], "ints": values.astype(np.int32)}
+    if rng.random() < 0.3:
+        how = str(rng.choice(sorted(others)))
+        values = others[how]
+    save_file({**tensors, name: np.ascontiguousarray(values)}, copy, metadata=about)
     return f"{name} {how}"
 
 

@@ -31,20 +31,13 @@ TRACEBACK, OUT_OF_MEMORY = 70, 71
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a process.
+    """Outcome of a process."""
 
-    Attributes:
-        code: exit code, or the negative number of the signal that killed it.
-        hung: exceeded a time limit.
-        memory: largest resident memory [bytes].
-        out, err: standard output and error.
-    """
-
-    code: int
-    hung: bool
+    code: int  # exit code, or the negative number of the signal that killed it
+    hung: bool  # exceeded a time limit
     seconds: float
-    memory: int
-    out: str
+    memory: int  # largest resident memory [bytes]
+    out: str  # out, err: standard output and error
     err: str
 
 
