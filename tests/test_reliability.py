@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[1]
 
 FULL = """
 import os, resource, sys
+sys.dont_write_bytecode = True  # cached bytecode would be cut as well
 from offpiste.cli import main
 largest = int(sys.argv[1])
 resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
