@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from rosbags.convert.converter import convert
 from rosbags.typesys import Stores, get_typestore
 
+from factories import RIG
 from offpiste.logs.ros.writer import McapWriter, header, make, quaternion, vector
 from tests.fuzz.mutations import Generator, mutate_values
 
@@ -154,19 +155,7 @@ CONTAINERS = {
 }
 """Formats by name; what each writes is called `name`."""
 
-VEHICLE = """name = "fuzz"
-absent = ["brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]
-[vehicle]
-mass = 800.0
-max_steer = 0.4
-pose_point = "the rear axle"
-wheel_positions = [[2.2, 0.6], [2.2, -0.6], [0.0, 0.6], [0.0, -0.6]]
-[clock]
-max_gap = 0.5
-[motion]
-window = 0.3
-slope_length = 6.0
-"""
+VEHICLE = RIG.split("[channels")[0] + "[clock]\nmax_gap = 0.5\n[motion]\nwindow = 0.3\nslope_length = 6.0\n"
 
 
 def rig_text(kind: str) -> str:
