@@ -24,18 +24,25 @@ LONGEST_LINE = 700
 
 @dataclass(frozen=True)
 class Case:
-    """Result of a case."""
+    """Result of a case.
+
+    Attributes:
+        mutation: description of the mutation.
+        verdict: ok, refused, traceback, hang, memory, killed, or wrong message.
+        why: message, or last line of a traceback.
+        memory: largest resident memory [MB].
+    """
 
     case: int
     seed: int
     kind: str
     source: str
     command: str
-    mutation: str  # in words
-    verdict: str  # ok, refused, traceback, hang, memory, killed, or wrong message
-    why: str  # message, or last line of a traceback
+    mutation: str
+    verdict: str
+    why: str
     seconds: float
-    memory: int  # largest resident memory [MB]
+    memory: int
 
     def as_line(self) -> str:
         return json.dumps(asdict(self))

@@ -29,16 +29,27 @@ Rewrite = Callable[[Path, Generator], str]
 
 @dataclass(frozen=True)
 class Sound:
-    """Valid input."""
+    """Valid input.
 
-    kind: str  # in the summary
-    files: Path  # file or folder to copy
-    commands: tuple[str, ...]  # with the placeholders `{input}` and `{out}`
-    input: str = ""  # argument of the commands, relative to the copy; "" for all
-    rewrite: Rewrite | None = None  # of the copy; without it only bytes and text are mutated
-    share: float = 1.0  # relative frequency
-    recorded: bool = False  # part of a real drive
-    seal: Callable[[Path], None] | None = None  # writes new checksums
+    Attributes:
+        kind: kind in the summary.
+        files: file or folder to copy.
+        commands: commands with the placeholders `{input}` and `{out}`.
+        input: argument of the commands, relative to the copy; "" for all.
+        rewrite: rewriting of the copy; without it only bytes and text are mutated.
+        share: relative frequency.
+        recorded: part of a real drive.
+        seal: writes new checksums.
+    """
+
+    kind: str
+    files: Path
+    commands: tuple[str, ...]
+    input: str = ""
+    rewrite: Rewrite | None = None
+    share: float = 1.0
+    recorded: bool = False
+    seal: Callable[[Path], None] | None = None
 
 
 def run_command(line: str, **places: object) -> None:

@@ -31,13 +31,20 @@ TRACEBACK, OUT_OF_MEMORY = 70, 71
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a process."""
+    """Outcome of a process.
 
-    code: int  # exit code, or the negative number of the signal that killed it
-    hung: bool  # exceeded a time limit
+    Attributes:
+        code: exit code, or the negative number of the signal that killed it.
+        hung: exceeded a time limit.
+        memory: largest resident memory [bytes].
+        out, err: standard output and error.
+    """
+
+    code: int
+    hung: bool
     seconds: float
-    memory: int  # largest resident memory [bytes]
-    out: str  # out, err: standard output and error
+    memory: int
+    out: str
     err: str
 
 

@@ -104,6 +104,12 @@ def test_the_size_of_a_commanded_speed_is_clipped_last():
     np.testing.assert_array_equal(convert("throttle", source, np.array([[-1.0]]), small_rig().vehicle), [[0.5]])
 
 
+def test_a_steering_command_that_is_an_angle_is_over_the_largest_one():
+    source = ChannelSource(fields=("angle",), unit="deg")
+    steer = convert("steer", source, np.array([[-10.0], [5.0]]), small_rig().vehicle)
+    np.testing.assert_allclose(steer * small_rig().vehicle.max_steer, np.deg2rad([[-10.0], [5.0]]))
+
+
 def geared(recorded, **source):
     log = MemoryLog(box=(np.arange(len(recorded), dtype=float), {"x": np.asarray(recorded, float)}))
     return read_channel(log, small_rig(), "gear", ChannelSource(fields=("x",), topic="box", **source))[0].values[:, 0]

@@ -45,6 +45,22 @@ def test_clock_reaches_the_table(logs: dict[str, Path]) -> None:
     assert (samples.time.tolist(), samples.values.tolist()) == ([2.0], [[7.0]])
 
 
+@pytest.mark.parametrize("name", ["table", "bag"])
+def test_links_and_dots_in_a_path_are_harmless(logs: dict[str, Path], tmp_path: Path, name: str) -> None:
+    path = logs[name]
+    link = tmp_path / f"link{path.suffix}"
+    link.symlink_to(path)
+    around = path.parent / ".." / path.parent.name / path.name
+    plain = open_log(path, clock=Clock(column="tick") if name == "table" else None)
+    for other in (link, around):
+        log = open_log(other, clock=Clock(column="tick") if name == "table" else None)
+        assert log.topics == plain.topics
+        (topic,) = log.topics.values()
+        np.testing.assert_array_equal(
+            log.read(topic.name, topic.fields).values, plain.read(topic.name, topic.fields).values
+        )
+
+
 def test_a_folder_of_another_format_may_hold_a_bag(logs: dict[str, Path]) -> None:
     (logs["tartan"] / "drive.mcap").write_bytes(logs["mcap"].read_bytes())
     assert isinstance(open_log(logs["tartan"]), TartanDriveLog)

@@ -1,4 +1,6 @@
-"""Plausible poses: fault-free drives stay whole, and injected runs are dropped exactly."""
+"""Plausible poses: fault-free drives stay whole, injected runs are dropped exactly, the chain is optimal."""
+
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -6,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from offpiste.logs.plausibility import held_while_driving, plausible
+from offpiste.logs.plausibility import best_chain, held_while_driving, plausible
 
 RUNS = ("glitches", "constant", "random", "long constant", "fast tail", "fast head", "coherent")
 
@@ -161,6 +163,20 @@ def test_a_fast_spin_at_a_low_rate_is_no_fault() -> None:
     found = plausible("yaw", time, yaw[:, None])
     assert found.keep.all()
     assert not len(found.jumps)
+
+
+@settings(max_examples=80, deadline=None)
+@given(seed=st.integers(0, 10**6), count=st.integers(1, 9))
+def test_the_chain_is_the_best_of_all(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    weight, table = rng.uniform(0.1, 3, count), rng.choice([0.0, 0.5, 2.0, 5.0], (count, count))
+
+    def worth(chain: tuple[int, ...]) -> float:
+        return float(weight[list(chain)].sum() - sum(table[a, b] for a, b in pairwise(chain)))
+
+    chain = best_chain(weight, lambda origins, to: table[origins, to])
+    every = [c for size in range(1, count + 1) for c in combinations(range(count), size)]
+    assert worth(tuple(chain.tolist())) == pytest.approx(max(map(worth, every)))
 
 
 def test_few_samples_are_all_kept() -> None:
