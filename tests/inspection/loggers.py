@@ -1,6 +1,7 @@
 """Logs of a drive as many loggers write them (loggers.toml)."""
 
 import dataclasses
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -30,66 +31,41 @@ def _quantities() -> dict[str, np.ndarray]:
     (time, pedals), (steered, steering) = CLEAN.data["pedals"], CLEAN.data["steering"]
     throttle, brake = (np.interp(TIME, time, pedals[name]) for name in ("throttle", "brake"))
     steer, angle = (np.interp(TIME, steered, steering[name]) for name in ("command", "angle"))
-    latitude, longitude = 47.4 + ODOM["y"] / 111_180, 8.5 + ODOM["x"] / 75_500
-    east = np.cos(YAW) * ODOM["vx"] - np.sin(YAW) * ODOM["vy"]
-    north = np.sin(YAW) * ODOM["vx"] + np.cos(YAW) * ODOM["vy"]
-    azimuth, height = np.rad2deg(np.pi / 2 - YAW) % 360, 450 + ODOM["z"]
     return ODOM | {
         "0": 0 * TIME,
         "1": 0 * TIME + 1,
         "throttle": throttle,
         "brake": brake,
+        "pedal": throttle - brake,
         "steer": steer,
         "angle": angle,
-        "latitude": latitude,
-        "longitude": longitude,
-        "height": height,
-        "east": east,
-        "north": north,
-        "azimuth": azimuth,
-        "azimuth in rad": np.deg2rad(azimuth),
-        "azimuth in hundredths": np.round(100 * azimuth),
-        "latitude in rad": np.deg2rad(latitude),
-        "longitude in rad": np.deg2rad(longitude),
-        "counted latitude": np.round(1e7 * latitude),
-        "counted longitude": np.round(1e7 * longitude),
-        "counted height": np.round(1e3 * height),
-        "counted azimuth": np.round(1e5 * azimuth),
-        "counted north": np.round(1e3 * north),
-        "counted east": np.round(1e3 * east),
-        "down": -ODOM["z"],
-        "sinking": -ODOM["vz"],
-        "right": -ODOM["wy"],
-        "clockwise": -ODOM["wz"],
+        "early steer": np.interp(TIME + 0.2, steered, steering["command"]),
+        "late angle": np.interp(TIME - 0.05, steered, steering["angle"]),
+        "curvature": np.tan(MAX_STEER * steer) / WHEELBASE,
+        "speed command": np.interp(TIME + 0.4, TIME, ODOM["vx"]),
+        "latitude": 47.4 + ODOM["y"] / 111_180,
+        "longitude": 8.5 + ODOM["x"] / 75_500,
+        "height": 450 + ODOM["z"],
+        "east": np.cos(YAW) * ODOM["vx"] - np.sin(YAW) * ODOM["vy"],
+        "north": np.sin(YAW) * ODOM["vx"] + np.cos(YAW) * ODOM["vy"],
+        "azimuth": np.rad2deg(np.pi / 2 - YAW) % 360,
+        "azimuth in rad": (np.pi / 2 - YAW) % (2 * np.pi),
         "half azimuth cos": np.cos((np.pi / 2 - YAW) / 2),
         "half azimuth sin": np.sin((np.pi / 2 - YAW) / 2),
-        "wheel": 14 * angle,
-        "wheel in deg": 800 * angle,
-        "wheel command in deg": 800 * MAX_STEER * steer,
-        "tire command": MAX_STEER * steer,
-        "curvature": np.tan(MAX_STEER * steer) / WHEELBASE,
-        "steering from 0 to 1": (0.9 * steer + 1) / 2,
-        "revolutions": 1000 + 300 * ODOM["vx"],
-        "speed command": np.interp(TIME + 0.4, TIME, ODOM["vx"]),
-        "duty": ODOM["vx"] / 20,
-        "throttle in %": 100 * throttle,
-        "brake in %": 100 * brake,
-        "brake in bar": 60 * brake,
-        "brake in C": 300 + 50 * brake,
-        "brake trigger": 1 - 2 * brake,
-        "throttle trigger": 1 - 2 * throttle,
-        "throttle of 255": 255 * throttle,
-        "brake to 153 of 255": 153 * brake,
-        "early steer of 0 to 1023": 511.5 * (np.interp(TIME + 0.2, steered, steering["command"]) + 1),
-        "late angle in deg": np.rad2deg(np.interp(TIME - 0.05, steered, steering["angle"])),
-        "steering pulse": 1500 - 400 * steer,
-        "throttle pulse": 1500 + 400 * (throttle - brake),
-        "middle pulse": 0 * TIME + 1500,
         "noise": 1 + 0.02 * np.random.default_rng(0).standard_normal(len(TIME)),
     }
 
 
 QUANTITIES = _quantities()
+_LINEAR = re.compile(r"(round )?(?:(\S+) ([+-]) )?(?:([-.e\d]+) )?(\D.*|[01])")
+"""A quantity with a factor and an offset: `1500 - 400 steer`, `round 1e7 latitude`."""
+
+
+def recorded(text: str) -> np.ndarray:
+    """The numbers that a field holds, from a quantity with its factor and offset."""
+    whole, offset, sign, factor, name = _LINEAR.fullmatch(text).groups()
+    values = float(offset or 0) + float(f"{sign or ''}1") * float(factor or 1) * QUANTITIES[name]
+    return np.round(values) if whole else values
 
 
 class Log(MemoryLog):
@@ -108,12 +84,12 @@ class Log(MemoryLog):
 
 def log_of(topics: Mapping[str, Mapping[str, str]]) -> Log:
     """A log of topics with the quantities of fields."""
-    return Log({name: (TIME, {f: QUANTITIES[q] for f, q in fields.items()}) for name, fields in topics.items()})
+    return Log({name: (TIME, {f: recorded(q) for f, q in fields.items()}) for name, fields in topics.items()})
 
 
 def table(columns: Mapping[str, str]) -> MemoryLog:
     """A table with the quantities of columns."""
-    return MemoryLog({"": (TIME, {name: QUANTITIES[quantity] for name, quantity in columns.items()})})
+    return MemoryLog({"": (TIME, {name: recorded(quantity) for name, quantity in columns.items()})})
 
 
 def logger(name: str) -> MemoryLog:

@@ -66,7 +66,7 @@ def test_limits_and_switches_do_not_hide_what_a_topic_commands(asked: str, other
     beside = dict.fromkeys(others.split(), "1")
     status = {"wheel_angle": "angle", "column_torque": "wy", "driver_override": "0"}
     log = log_of(
-        {"/odom": POSE, "/dbw/steering_status": status, "/dbw/steering_command": {asked: "tire command"} | beside}
+        {"/odom": POSE, "/dbw/steering_status": status, "/dbw/steering_command": {asked: "0.4 steer"} | beside}
         | {f"/dbw/{pedal}_cmd": {"pedal_setpoint": pedal} | beside for pedal in ("throttle", "brake")}
     )
     channels = drafted(log).channels
@@ -111,8 +111,8 @@ def test_an_ins_of_north_east_down_is_known_beside_latitude_and_longitude(named:
     """With places exchanged the heading fits as well, in a mirror, and all else but that is scaled to fit it."""
     fields = dict(zip(named, ("latitude", "longitude", "height"), strict=True))
     fields |= {"quaternion.x": "0", "quaternion.y": "0", "quaternion.z": "half azimuth sin",
-               "quaternion.w": "half azimuth cos", "velocity.x": "north", "velocity.y": "east", "velocity.z": "sinking",
-               "angularrate.x": "wx", "angularrate.y": "right", "angularrate.z": "clockwise"}  # fmt: skip
+               "quaternion.w": "half azimuth cos", "velocity.x": "north", "velocity.y": "east", "velocity.z": "-1 vz",
+               "angularrate.x": "wx", "angularrate.y": "-1 wy", "angularrate.z": "-1 wz"}  # fmt: skip
     fields |= {"yawpitchroll.x": "azimuth"} if yaw else {}
     log = log_of({"/ins": fields, **COMMANDS})
     inspection = inspect_log(log)
