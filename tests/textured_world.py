@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from offpiste.inspection.sensor_samples import Grey, Scan, SmallCamera, small_camera
+from offpiste.calibration.samples import Grey, Scan, SmallCamera, small_camera
 from offpiste.logs.channel import Channel
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.poses import Poses

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from offpiste.inspection.misfit import turned
+from offpiste.calibration.misfit import turned
 from offpiste.logs.log import Log, RawCloud, RawImage, Samples, Times, Topic
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, load_rig

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from offpiste.calibration.misfit import PRIOR, Pair, fit_misfit, turned
 from offpiste.inspection.lags import LAGS, fit_lags, jackknife
-from offpiste.inspection.misfit import PRIOR, Pair, fit_misfit, turned
 
 
 def _wave(random: np.random.Generator, count: int) -> np.ndarray:

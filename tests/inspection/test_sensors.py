@@ -10,16 +10,22 @@ import simulated
 from scipy.spatial.transform import Rotation
 from simulated import MemoryLog
 
+from offpiste.calibration.misfit import Misfit
+from offpiste.calibration.misfit import turned as turned_mounting
+from offpiste.calibration.samples import gather, small_camera
 from offpiste.cli import main
 from offpiste.core.errors import LogError
 from offpiste.inspection.draft_sensors import draft_sensors, missing
 from offpiste.inspection.inspect import Inspection, inspect_log
-from offpiste.inspection.misfit import Misfit
-from offpiste.inspection.misfit import turned as turned_mounting
-from offpiste.inspection.own_body import check_own_body
-from offpiste.inspection.sensor_samples import gather, small_camera
 from offpiste.inspection.sensor_stamps import check_sensor_stamps
-from offpiste.inspection.sensors import CheckedSensor, camera_misfits, check_mountings, check_sensors, lidar_misfits
+from offpiste.inspection.sensors import (
+    CheckedSensor,
+    camera_misfits,
+    check_mountings,
+    check_own_body,
+    check_sensors,
+    lidar_misfits,
+)
 from offpiste.logs import open_log
 from offpiste.logs.log import RawCloud, Topic
 from offpiste.logs.measurements import Camera, Lidar
@@ -98,7 +104,7 @@ def test_kitti(data_folder):
     findings = check_mountings(lidars + camera_misfits(cameras, lidars, gathered, sensors.poses))
     findings += check_sensor_stamps(log, sensors)
     velodyne, wheels = sensors.lidars["velodyne"], rig.vehicle.wheel_positions
-    findings += check_own_body(velodyne, gathered.scans["velodyne"], sensors.poses, wheels)
+    findings += check_own_body(velodyne, gathered, sensors.poses, wheels)
     assert [f for f in findings if f.severity != "note"] == []
 
     turn = np.deg2rad([0.0, 2.0, 0.0])

@@ -119,10 +119,9 @@ class Inspect:
         """Estimate mountings; exit code 1 if one cannot be estimated."""
         from json import dumps
 
+        from offpiste.calibration.mountings import estimate_mountings, render_mountings
         from offpiste.core.errors import RigError
         from offpiste.core.object_store import brought
-        from offpiste.inspection.estimated_mounting import render_mountings
-        from offpiste.inspection.mountings import estimate_mountings
         from offpiste.logs import open_log
         from offpiste.rig.rig import load_rig
 

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 from itertools import count, islice, takewhile
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from offpiste.logs.measurements import proposed_times, used_bits
 from offpiste.logs.ros.image_encodings import pixels_of
 from offpiste.logs.transforms import TRANSFORMS, Transform, between
 from offpiste.rig.edits import toml_value
-from offpiste.rig.labels import VOCABULARY, is_named
+from offpiste.rig.labels import is_named, looks
 from offpiste.rig.sensors import TIME_FIELDS
 
 BODY = "base_link"
@@ -137,15 +137,6 @@ def _mounting(log: Log, topic: str, name: str, body: str, transforms: list[Trans
             f'{key} = {{ looks = "{looks(name)}" }}  # ROUGH GUESS by its name: forward, left, back or right',
         ]
     return [f"# its messages are of frame '{frame}', which the transforms join to '{body}'"]
-
-
-def looks(name: str) -> Literal["forward", "left", "back", "right"]:
-    """Return a sensor's viewing direction, guessed from its name; forward by default.
-
-    A name with `front` denotes a forward sensor, even with `left` or `right` of a stereo pair.
-    """
-    directions: dict[Literal["forward", "left", "back", "right"], str] = VOCABULARY["draft"]["looks"]
-    return next((side for side, names in directions.items() if re.search(names, name)), "forward")
 
 
 def _info(log: Log, image: str) -> str:

@@ -1,18 +1,15 @@
-"""Checks of images and point clouds without geometry: stamps, spans and repeated images."""
+"""Checks of the stamps of images and point clouds, and of the times of points."""
 
-from collections.abc import Sequence
 from dataclasses import replace
-from itertools import islice, pairwise
+from itertools import islice
 from typing import Final
 
 import msgspec
 import numpy as np
 
-from offpiste.core.errors import OffpisteError
 from offpiste.inspection.clocks import ORIGINS
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.inspection.sensor_samples import Grey
 from offpiste.inspection.stamps import check_spans, check_stamps
 from offpiste.logs.clock_drift import clock_difference
 from offpiste.logs.log import Log
@@ -34,7 +31,6 @@ _APART: Final = 0.5
 """Minimum offset that indicates another clock [s]; sending takes less."""
 _STAMPS: Final = 50
 """Minimum number of messages for detecting a drift."""
-_FROZEN: Final = 0.1
 _SCANS: Final = 5
 """Number of scans whose point times are checked."""
 _HALF: Final = 0.5
@@ -146,22 +142,3 @@ def _clock(key: str, source: Source, sensor: Recorded, pose: Recorded, rig: Rig)
     else:
         return []
     return [Finding("warning", sensor.topic.name, what, f"{evidence} pose", remedy, score)]
-
-
-def check_repeated_images(name: str, images: Sequence[Grey]) -> list[Finding]:
-    """Return a finding if consecutive images are identical."""
-    if len(images) < 10:
-        return []
-    same = [np.array_equal(a.pixels, b.pixels) for a, b in pairwise(images)]
-    share = float(np.mean(same))
-    if share < _FROZEN:
-        return []
-    evidence = f"{sum(same)} of {len(same)} images are those before them, bit for bit"
-    return [Finding("warning", name, "repeats images", evidence, "record it again: its driver hangs", share)]
-
-
-def refused(error: OffpisteError, where: str) -> Finding:
-    """Return a finding for unreadable sensors."""
-    return Finding(
-        "warning", where, error.what, f"on reading it{f': {error.where}' if error.where else ''}", error.how, 1.0
-    )

@@ -6,28 +6,22 @@ since the fit already compared the measurements at the corrected mounting and de
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from offpiste.calibration.camera import check_camera, matched
+from offpiste.calibration.lidar import check_lidar
+from offpiste.calibration.map_health import MapHealth, map_health
+from offpiste.calibration.misfit import Misfit, turned
+from offpiste.calibration.mountings import AXES, mounting_entry
+from offpiste.calibration.own_body import AROUND, find_own_body
+from offpiste.calibration.samples import Gathered, Grey, SmallCamera, gather, small_camera
 from offpiste.core.errors import OffpisteError
 from offpiste.core.progress import track
-from offpiste.inspection.camera import check_camera
-from offpiste.inspection.findings import Cure, Finding
-from offpiste.inspection.lidar import check_lidar
-from offpiste.inspection.map_health import check_map_health, map_health
-from offpiste.inspection.misfit import Misfit, turned
-from offpiste.inspection.own_body import check_own_body
-from offpiste.inspection.sensor_samples import Gathered, SmallCamera, gather, small_camera
-from offpiste.inspection.sensor_stamps import (
-    check_point_times,
-    check_repeated_images,
-    check_sensor_stamps,
-    refused,
-    untimed_points,
-)
+from offpiste.inspection.findings import Cure, Finding, Severity, fixable
+from offpiste.inspection.sensor_stamps import check_point_times, check_sensor_stamps, untimed_points
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Camera, Lidar
 from offpiste.logs.poses import Poses
@@ -42,23 +36,32 @@ and corresponds to one voxel of 0.2 m at 23 m."""
 LATE: Final = 0.010
 """Maximum delay in fault-free drives [s]; 0.1 m at 10 m/s."""
 SURE: Final = 3.0
-"""Number of standard deviations by which a misfit must exceed these limits."""
+"""Number of standard deviations by which a misfit or a drift in height must exceed its limit."""
 KNOWN_TURN: Final = np.deg2rad(0.5)
 """Maximum standard deviation of a known angle [rad]."""
 KNOWN_LATE: Final = 0.020
 """Maximum standard deviation of a known delay [s]."""
-STARTS: Final = (-0.15, 0.15)
-"""Initial delays for refitting a camera that seems rotated [s]: in fast turns, patches searched at a wrong time lie
-outside the search area, and a rotation fits the rest."""
 APART: Final = 0.2
 """Distance between points and planes of two scans above which they are inconsistent [m]; fault-free: 0.02 to 0.04."""
+MANY_GHOSTS: Final = 1e-4
+"""Minimum reported share of returns below the ground: ten in a scan of 100,000. Simulated drives: below 3e-5."""
+MUCH_DRIFT: Final = 0.05
+"""Height drift for a warning [m/s]: one voxel of 0.2 m within the 4 s that a cell is in view before the wheels reach
+it, which turns level ground into an obstacle."""
+SOME_DRIFT: Final = 0.02
+"""Height drift for a note [m/s]. Simulated drives: 0.002; KITTI's GPS: 0.05."""
+MUCH_MOVING: Final = 0.004
+"""Minimum reported share of moving returns. Simulated drives: up to 0.0012; with 1 % of dust: 0.006."""
+LEAST_PAIRS: Final = 8
+"""Minimum number of scan pairs for statements about drift and moving returns."""
+_FROZEN: Final = 0.1
+"""Minimum reported share of images that repeat the one before."""
 _POSE: Final = ("position", "orientation", "yaw")
 _TURNS_OF_POSE: Final = {"channels.orientation.offset"}
 _DELAYS_OF_POSE: Final = {f"channels.{name}.delay" for name in _POSE}
 _SAME: Final = "as all sensors say the same"
 _CURED: Final = "as the pose is cured above by what the other channels show"
 """Reasons to suspect the pose instead of a sensor."""
-_AXES: Final = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
@@ -129,14 +132,11 @@ def check_mountings(checked: Sequence[CheckedSensor], cure: Cure = ()) -> list[F
 
 def _turned(one: CheckedSensor, misfit: Misfit, blames_pose: str) -> Finding:
     sensor = one.sensor
+    camera = isinstance(sensor, Camera)
     given = sensor.body_from_camera if isinstance(sensor, Camera) else sensor.body_from_lidar
     # Unknown angles keep the values of the rig.
-    known = np.append(misfit.sigma[:3] < KNOWN_TURN, True)
-    matrix = turned(given, np.where(known, misfit.parameters, 0.0))
-    key = f"{one.key}.{'body_from_camera' if isinstance(sensor, Camera) else 'body_from_lidar'}"
-    quaternion = Rotation.from_matrix(matrix[:3, :3]).as_quat()
-    mounting = {"position": matrix[:3, 3].round(4).tolist(), "orientation": quaternion.round(6).tolist()}
-    cure = Edit(key, mounting)
+    matrix = turned(given, np.where(np.append(misfit.sigma[:3] < KNOWN_TURN, True), misfit.parameters, 0.0))
+    cure = Edit(f"{one.key}.{'body_from_camera' if camera else 'body_from_lidar'}", mounting_entry(matrix, 4))
     remedy, sure = f"calibrate it again; or {cure}", not blames_pose
     if blames_pose:
         remedy += f"; {blames_pose}, the pose's orientation or [frames] body may be what is turned"
@@ -189,8 +189,9 @@ def _apart(one: CheckedSensor, misfit: Misfit) -> Finding:
 
 
 def _unseen(one: CheckedSensor) -> Finding:
-    kind = "squares of ground are not found again in the next image" if isinstance(one.sensor, Camera) else "scans"
-    evidence = f"too few {kind}" if isinstance(one.sensor, Lidar) else kind
+    evidence = "too few scans"
+    if isinstance(one.sensor, Camera):
+        evidence = "too few features of its images lie on surfaces that a LiDAR sees"
     remedy = "nothing if it is at a standstill or sees little; else check the mounting, which may be far off, and"
     remedy += " [frames] body"
     return Finding("note", one.sensor.name, "could not be checked against the poses", evidence, remedy)
@@ -199,7 +200,7 @@ def _unseen(one: CheckedSensor) -> Finding:
 def _unknown(one: CheckedSensor, misfit: Misfit) -> list[Finding]:
     vague = [
         f"{axis} (± {np.rad2deg(sigma):.1f} degrees)"
-        for axis, sigma in zip(_AXES, misfit.sigma[:3], strict=True)
+        for axis, sigma in zip(AXES, misfit.sigma[:3], strict=True)
         if not sigma < KNOWN_TURN
     ]
     vague += [f"delay (± {misfit.sigma[3] * 1e3:.0f} ms)"] if not misfit.sigma[3] < KNOWN_LATE else []
@@ -213,7 +214,7 @@ def _axes(misfit: Misfit) -> str:
     known = misfit.sigma[:3] < KNOWN_TURN
     parts = [
         f"{axis} {np.rad2deg(turn):+.2f} (standard deviation {np.rad2deg(sigma):.2f})"
-        for axis, turn, sigma, sure in zip(_AXES, misfit.parameters, misfit.sigma, known, strict=False)
+        for axis, turn, sigma, sure in zip(AXES, misfit.parameters, misfit.sigma, known, strict=False)
         if sure
     ]
     return "should be turned by " + ", ".join(parts) + " degrees about the body's axes"
@@ -252,9 +253,10 @@ def check_sensors(log: Log, rig: Rig, cure: Cure = ()) -> list[Finding]:
         cameras = {name: small_camera(camera) for name, camera in sensors.cameras.items()}
         gathered = gather(sensors, cameras)
     except OffpisteError as error:
-        return [refused(error, "cameras and LiDARs")]
-    for name, lidar in sensors.lidars.items():
-        findings += check_own_body(lidar, gathered.scans[name], sensors.poses, rig.vehicle.wheel_positions)
+        evidence = f"on reading it{f': {error.where}' if error.where else ''}"
+        return [Finding("warning", "cameras and LiDARs", error.what, evidence, error.how, 1.0)]
+    for lidar in sensors.lidars.values():
+        findings += check_own_body(lidar, gathered, sensors.poses, rig.vehicle.wheel_positions)
     for name in cameras:
         findings += check_repeated_images(name, gathered.images[name])
     if sensors.notes:
@@ -281,30 +283,81 @@ def lidar_misfits(lidars: dict[str, Lidar], gathered: Gathered, poses: Poses) ->
 def camera_misfits(
     cameras: dict[str, SmallCamera], lidars: Sequence[CheckedSensor], gathered: Gathered, poses: Poses
 ) -> list[CheckedSensor]:
-    """Check the cameras against the poses, using distances from the LiDAR with most scans, corrected if necessary.
+    """Check the cameras against the poses, by surfaces that the LiDAR with most scans sees, corrected if necessary.
 
     Args:
         lidars: LiDARs with their misfits.
     """
-    rulers = {one.sensor.name: one for one in lidars if isinstance(one.sensor, Lidar)}
+    rulers = [(len(gathered.scans[one.sensor.name]), one) for one in lidars]
     if not rulers:
         return [CheckedSensor(camera.camera, None) for camera in cameras.values()]
-    ruler = rulers[max(rulers, key=lambda name: len(gathered.scans[name]))]
+    _, ruler = max(rulers, key=lambda one: one[0])
     lidar, scans = ruler.sensor, gathered.scans[ruler.sensor.name]
     assert isinstance(lidar, Lidar), "rulers are LiDARs"
     known = ruler.misfit.parameters if ruler.misfit and (ruler.is_turned or ruler.is_late) else None
     result = []
     for name, camera in track(cameras.items(), "cameras", total=len(cameras)):
-        check = partial(check_camera, camera, gathered.images[name], lidar, scans, poses, known)
-        one = CheckedSensor(camera.camera, check())
-        if one.misfit is not None and one.is_turned:
-            one = replace(one, misfit=_best([one.misfit, *(check(start=np.array([0, 0, 0, late])) for late in STARTS)]))
-        result.append(one)
+        matches = matched(camera, gathered.images[name])
+        result.append(CheckedSensor(camera.camera, check_camera(camera, matches, lidar, scans, poses, known)))
     return result
 
 
-def _best(misfits: Sequence[Misfit | None]) -> Misfit:
-    """Return the fit with the smallest residuals among those with almost the maximum number of residuals."""
-    known = [misfit for misfit in misfits if misfit is not None]
-    most = max(misfit.residuals for misfit in known)
-    return min((misfit for misfit in known if misfit.residuals >= 0.9 * most), key=lambda misfit: misfit.scale)
+def check_own_body(
+    lidar: Lidar, gathered: Gathered, poses: Poses, wheels: Sequence[tuple[float, float]]
+) -> list[Finding]:
+    """Return a finding if a LiDAR sees the vehicle itself, with the box that hides it.
+
+    Args:
+        wheels: x, y in the body frame [m].
+    """
+    found = find_own_body(lidar, gathered.scans[lidar.name], poses, wheels)
+    if found is None:
+        return []
+    evidence = f"{found.returns:.0f} returns a scan stay at the same places of the body frame, above the ground and "
+    evidence += f"within {AROUND:g} m of the wheels, in {found.scans} scans on the way"
+    cure = Edit(f"lidars.{lidar.name}.own_body", found.box.round(2).tolist())
+    return [fixable("warning", lidar.name, "sees the vehicle itself", evidence, (cure,))]
+
+
+def check_repeated_images(name: str, images: Sequence[Grey]) -> list[Finding]:
+    """Return a finding if consecutive images are identical."""
+    same = [np.array_equal(a.pixels, b.pixels) for a, b in pairwise(images)]
+    if len(images) < 10 or np.mean(same) < _FROZEN:
+        return []
+    evidence = f"{sum(same)} of {len(same)} images are identical to the previous one, bit for bit"
+    how = "record it again: its driver hangs"
+    return [Finding("warning", name, "repeats images", evidence, how, float(np.mean(same)))]
+
+
+def check_map_health(health: MapHealth, *, turned: bool = False) -> list[Finding]:
+    """Return a warning for height drift, and notes for ghosts and many moving returns.
+
+    Args:
+        turned: True if a LiDAR's mounting differs from the rig, which also causes apparent height drift.
+    """
+    result = []
+    least = health.drift - SURE * health.drift_error
+    if health.drift_pairs >= LEAST_PAIRS and least > SOME_DRIFT:
+        evidence = (
+            f"the same ground is {100 * health.drift:.1f} cm higher or lower after 1 s (standard error "
+            f"{100 * health.drift_error:.1f}); {health.drift_pairs} pairs of scans 1.5 to 4 s apart"
+        )
+        remedy = "take poses from a source with a better height (LiDAR odometry, RTK); no rig line helps"
+        if turned:
+            remedy = "correct the mounting of the LiDAR that is turned, which can do this, and inspect again"
+        severity: Severity = "warning" if least > MUCH_DRIFT and not turned else "note"
+        result.append(Finding(severity, "poses", "drift in height", evidence, remedy, min(1.0, health.drift / 0.2)))
+    if health.ghosts > MANY_GHOSTS:
+        evidence = (
+            f"{health.ghosts:.3%} of {health.returns} returns within 25 m, from rays that pass below ground nearer by"
+        )
+        remedy = "nothing: the map leaves them out (mapping.ghosts); other software may not"
+        result.append(Finding("note", "LiDARs", "see ghosts below the ground", evidence, remedy, health.ghosts))
+    if health.moving_pairs >= LEAST_PAIRS and health.moving > MUCH_MOVING:
+        evidence = (
+            f"{health.moving:.1%} of the returns within 30 m, where rays passed through half a second earlier;"
+            f" {health.moving_pairs} pairs of scans"
+        )
+        remedy = "nothing: their trails leave the map near the vehicle (mapping.free_space); further away they stay"
+        result.append(Finding("note", "LiDARs", "see much that moves", evidence, remedy, health.moving))
+    return result

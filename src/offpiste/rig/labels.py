@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import Final
+from typing import Final, Literal
 from unicodedata import combining, normalize
 
 import numpy as np
@@ -224,3 +224,12 @@ def is_measured_steering(name: str, rig: Rig) -> bool:
         return True
     names = " ".join((rig.channels[name].topic, *rig.channels[name].fields))
     return is_named("measured", names) and not is_named("commanded", names)
+
+
+def looks(name: str) -> Literal["forward", "left", "back", "right"]:
+    """Return a sensor's viewing direction, guessed from its name; forward by default.
+
+    A name with `front` denotes a forward sensor, even with `left` or `right` of a stereo pair.
+    """
+    directions: dict[Literal["forward", "left", "back", "right"], str] = VOCABULARY["draft"]["looks"]
+    return next((side for side, names in directions.items() if re.search(names, name)), "forward")

@@ -11,10 +11,11 @@ from jaxtyping import Bool, Float
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 
+from offpiste.calibration.map_health import find_pits, map_health
+from offpiste.calibration.samples import gather
 from offpiste.core.errors import LogError, RigError, installation_of, is_installed
 from offpiste.core.progress import track
-from offpiste.inspection.map_health import check_map_health, find_pits, map_health
-from offpiste.inspection.sensor_samples import gather
+from offpiste.inspection.sensors import check_map_health
 from offpiste.logs.log import Log
 from offpiste.logs.sensor_log import SensorLog, open_sensors
 from offpiste.mapping.replay import MapperSettings, Moment, pinhole_cameras, replay

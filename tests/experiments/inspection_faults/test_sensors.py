@@ -8,8 +8,8 @@ import experiments.inspection_faults.sensors as scoring
 from experiments.inspection_faults.sensor_faults import CAMERA, LIDAR, SENSOR_FAULTS, mounting_key
 from experiments.inspection_faults.sensors import SensorFaults, report, score
 from made_up_sensors import GROUND, TIMES, body_points, sensor_case
+from offpiste.calibration.misfit import turned
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.misfit import turned
 from offpiste.rig.edits import Edit
 
 CASE = sensor_case()

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from mapping.height_field import spinning_scan, with_detours
-from offpiste.inspection.map_health import (
+from offpiste.calibration.map_health import (
     MapHealth,
     PlacedScan,
-    check_map_health,
     find_pits,
     height_rates,
     map_health,
     moving_shares,
 )
-from offpiste.inspection.sensor_samples import Gathered, Scan
+from offpiste.calibration.samples import Gathered, Scan
+from offpiste.inspection.sensors import check_map_health
 from offpiste.logs.channel import Channel
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses

@@ -12,26 +12,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter
 
-from offpiste.inspection.findings import Finding, Severity
-from offpiste.inspection.sensor_samples import Gathered, Scan
+from offpiste.calibration.samples import Gathered, Scan
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 from offpiste.mapping.free_space import FreeSpaceSettings, nearest_returns, passed
 from offpiste.mapping.ghosts import GhostFinder
-
-MANY_GHOSTS: Final = 1e-4
-"""Minimum reported share of returns below the ground: ten in a scan of 100,000. Simulated drives: below 3e-5."""
-MUCH_DRIFT: Final = 0.05
-"""Height drift for a warning [m/s]: one voxel of 0.2 m within the 4 s that a cell is in view before the wheels reach
-it, which turns level ground into an obstacle."""
-SOME_DRIFT: Final = 0.02
-"""Height drift for a note [m/s]. Simulated drives: 0.002; KITTI's GPS: 0.05."""
-SURE: Final = 3.0
-"""Minimum excess over these limits in standard errors."""
-MUCH_MOVING: Final = 0.004
-"""Minimum reported share of moving returns. Simulated drives: up to 0.0012; with 1 % of dust: 0.006."""
-LEAST_PAIRS: Final = 8
-"""Minimum number of scan pairs per statistic."""
 
 _APART: Final = (1.5, 4.0)
 """Range of times between scans whose ground is compared [s]."""
@@ -172,40 +157,6 @@ def moving_shares(scans: Sequence[PlacedScan]) -> list[float]:
             seen = nearest_returns(before.points, before.sensor, before.ghosts)
             shares.append(float(passed(seen, after.points[near], before.sensor, settings).mean()))
     return shares
-
-
-def check_map_health(health: MapHealth, *, turned: bool = False) -> list[Finding]:
-    """Return a warning for height drift, and notes for ghosts and many moving returns.
-
-    Args:
-        turned: True if a LiDAR's mounting differs from the rig, which also causes apparent height drift.
-    """
-    result = []
-    least = health.drift - SURE * health.drift_error
-    if health.drift_pairs >= LEAST_PAIRS and least > SOME_DRIFT:
-        evidence = (
-            f"the same ground is {100 * health.drift:.1f} cm higher or lower after 1 s (standard error "
-            f"{100 * health.drift_error:.1f}); {health.drift_pairs} pairs of scans 1.5 to 4 s apart"
-        )
-        remedy = "take poses from a source with a better height (LiDAR odometry, RTK); no rig line helps"
-        if turned:
-            remedy = "correct the mounting of the LiDAR that is turned, which can do this, and inspect again"
-        severity: Severity = "warning" if least > MUCH_DRIFT and not turned else "note"
-        result.append(Finding(severity, "poses", "drift in height", evidence, remedy, min(1.0, health.drift / 0.2)))
-    if health.ghosts > MANY_GHOSTS:
-        evidence = (
-            f"{health.ghosts:.3%} of {health.returns} returns within 25 m, from rays that pass below ground nearer by"
-        )
-        remedy = "nothing: the map leaves them out (mapping.ghosts); other software may not"
-        result.append(Finding("note", "LiDARs", "see ghosts below the ground", evidence, remedy, health.ghosts))
-    if health.moving_pairs >= LEAST_PAIRS and health.moving > MUCH_MOVING:
-        evidence = (
-            f"{health.moving:.1%} of the returns within 30 m, where rays passed through half a second earlier;"
-            f" {health.moving_pairs} pairs of scans"
-        )
-        remedy = "nothing: their trails leave the map near the vehicle (mapping.free_space); further away they stay"
-        result.append(Finding("note", "LiDARs", "see much that moves", evidence, remedy, health.moving))
-    return result
 
 
 def find_pits(elevation: Float[np.ndarray, "ny nx"]) -> Bool[np.ndarray, "ny nx"]:

@@ -1,9 +1,10 @@
-"""Estimate of a camera's mounting from a rough guess, by image motion and poses.
+"""Estimates of a camera's mounting and delay from features matched in pairs of its images, and poses.
 
-Points matched in two images (SIFT, Lowe 2004) must lie on the epipolar lines given by the poses and the mounting.
-Translation determines two axes (the direction of travel in the image), rotation the third. All rotations within 45
-degrees of the guess are tried; a robust fit refines the best. Once image squares can be found at the pixels predicted
-from LiDAR points, `camera.check_camera` refines the result.
+Features (SIFT, Lowe 2004) do not depend on the mounting. Without a LiDAR, the second direction of a feature must lie in
+the epipolar plane of the first: translation determines two axes (the direction of travel in the image), rotation the
+third. All rotations within 45 degrees of a guess are tried, and a robust fit refines the best. With a LiDAR, the first
+direction meets a surface of the nearest scan, whose place the second image must show in the second direction. This also
+determines the camera's position.
 """
 
 from collections.abc import Sequence
@@ -13,12 +14,24 @@ from typing import Final
 import cv2
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from offpiste.inspection.lidar import differentiated
-from offpiste.inspection.misfit import LEAST_PAIRS, Misfit, Pair, Parameters, fit_misfit, turned
-from offpiste.inspection.sensor_samples import Grey, SmallCamera, pairs
+from offpiste.calibration.misfit import (
+    LEAST_PAIRS,
+    PRIOR,
+    Misfit,
+    Pair,
+    Parameters,
+    differentiated,
+    fit_misfit,
+    planes,
+    turned,
+)
+from offpiste.calibration.samples import Grey, Scan, SmallCamera, pairs
+from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
+from offpiste.perception.motion_compensation import inverse, transformed
 
 _FEATURES: Final = 1500
 """Maximum number of features per image."""
@@ -39,8 +52,15 @@ _SAMPLE: Final = 600
 _TRUNCATED: Final = np.deg2rad(1.0)
 """Truncation of a match's angle from its epipolar line [rad]."""
 _STARTS: Final = 5
+"""Maximum number of rotations from which the fit starts."""
 _PRIOR: Final = np.array([*np.deg2rad([30.0, 30.0, 30.0]), 0.1])
-"""Standard deviations of the fit's prior [rad, rad, rad, s]."""
+"""Standard deviations of the prior of the fit to epipolar lines [rad, rad, rad, s]."""
+_OLD: Final = 0.3
+"""Maximum time between an image and its scan [s]."""
+_BESIDE: Final = np.deg2rad(2.0)
+"""Maximum angle between a feature and the scan point that gives its surface [rad]."""
+_FURTHEST: Final = 40.0
+"""Maximum distance of a surface [m]."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +81,7 @@ def matched(camera: SmallCamera, images: Sequence[Grey]) -> list[Matches]:
     """Return the features shared by consecutive images."""
     sift = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=_CONTRAST)
     mask = camera.free.astype(np.uint8) * 255
-    inverse = np.linalg.inv(camera.rectifier.pinhole.matrix)
+    from_pixels = np.linalg.inv(camera.rectifier.pinhole.matrix)
     found: dict[int, tuple[Float[np.ndarray, "n 3"], np.ndarray]] = {}
     result = []
     for couple in pairs([image.time for image in images]):
@@ -69,7 +89,7 @@ def matched(camera: SmallCamera, images: Sequence[Grey]) -> list[Matches]:
             if k not in found:
                 points, described = sift.detectAndCompute(images[k].pixels, mask)
                 pixels = np.array([(*point.pt, 1.0) for point in points]).reshape(-1, 3)
-                rays = pixels @ inverse.T
+                rays = pixels @ from_pixels.T
                 found[k] = (
                     rays / np.linalg.norm(rays, axis=1, keepdims=True),
                     described if described is not None else np.zeros((0, 128), np.float32),
@@ -86,6 +106,80 @@ def matched(camera: SmallCamera, images: Sequence[Grey]) -> list[Matches]:
             times = images[couple[0]].time, images[couple[1]].time
             result.append(Matches(times, one[index[:, 0]], other[index[:, 1]]))
     return result
+
+
+def check_camera(
+    camera: SmallCamera,
+    matches: Sequence[Matches],
+    lidar: Lidar,
+    scans: Sequence[Scan],
+    poses: Poses,
+    lidar_parameters: Parameters | None = None,
+    *,
+    prior: Parameters = PRIOR,
+) -> Misfit | None:
+    """Estimate the errors of a camera's mounting and stamps from surfaces; None with too few usable images.
+
+    Args:
+        lidar, scans: source of the surfaces.
+        lidar_parameters: misfit of the LiDAR, used for correction.
+        prior: as for `fit_misfit`; seven entries also estimate the position, which may be metres off.
+    """
+    given = np.zeros(4) if lidar_parameters is None else lidar_parameters
+    times = np.array([scan.time for scan in scans]) - given[3]
+    couples = []
+    for one in matches:
+        nearest = int(np.abs(times - one.times[0]).argmin()) if len(times) else -1
+        if nearest >= 0 and abs(times[nearest] - one.times[0]) < _OLD:
+            world = scans[nearest].in_world(lidar.body_from_lidar, poses, given)
+            world = world[np.isfinite(world).all(axis=1)]
+            couples.append((one, world, cKDTree(world)))
+
+    def compare(now: Parameters) -> list[Pair]:
+        mounting = camera.camera.body_from_camera
+        return [_on_surfaces(one, mounting, world, tree, poses, now) for one, world, tree in couples]
+
+    return fit_misfit(compare, prior=prior)
+
+
+def _on_surfaces(
+    matches: Matches,
+    body_from_camera: Float[np.ndarray, "4 4"],
+    world: Float[np.ndarray, "n 3"],
+    tree: cKDTree,
+    poses: Poses,
+    now: Parameters,
+) -> Pair:
+    """Return the distances of second directions from the places where first ones meet a surface, x and y [rad]."""
+
+    def cameras(parameters: Parameters) -> Float[np.ndarray, "2 4 4"]:
+        return poses.at(np.array(matches.times) - parameters[3]) @ turned(body_from_camera, parameters)
+
+    first = cameras(now)[0]
+    seen = transformed(world, inverse(first)) if np.isfinite(first).all() else world[:0]
+    distance = np.linalg.norm(seen, axis=1)
+    usable = np.flatnonzero((seen[:, 2] > 0) & (distance > 0.3) & (distance < _FURTHEST))
+    if len(usable) < 100:
+        return Pair(np.zeros(0), np.zeros((0, len(now))))
+    near, index = cKDTree(seen[usable] / distance[usable, None]).query(matches.one, k=3, distance_upper_bound=_BESIDE)
+    # Of points side by side, the nearest hides the others.
+    depth = np.where(np.isfinite(near), distance[usable][np.minimum(index, len(usable) - 1)], np.inf)
+    closest = index[np.arange(len(index)), depth.argmin(axis=1)]
+    rows = np.flatnonzero(closest < len(usable))
+    at = world[usable[closest[rows]]]
+    normal, flat = planes(world, tree, at)
+    rows, at, normal = rows[flat], at[flat], normal[flat]
+    one, other = matches.one[rows], matches.other[rows, :2] / matches.other[rows, 2:]
+
+    def residual(parameters: Parameters) -> Float[np.ndarray, " m"]:
+        here, there = cameras(parameters)
+        rays, origin = one @ here[:3, :3].T, here[:3, 3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = np.einsum("ni,ni->n", normal, at - origin) / np.einsum("ni,ni->n", normal, rays)
+            places = transformed(origin + np.where(far > 0, far, np.nan)[:, None] * rays, inverse(there))
+            return (places[:, :2] / np.where(places[:, 2:] > 0.1, places[:, 2:], np.nan) - other).ravel()
+
+    return differentiated(residual, now)
 
 
 def epipolar_angles(
@@ -130,12 +224,12 @@ def candidates(
     turns = turns[np.linalg.norm(turns, axis=1) <= _WIDE + 1e-6]
     mounting = np.tile(camera, (len(turns), 1, 1))
     mounting[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix() @ camera[:3, :3]
-    inverse = np.linalg.inv(mounting)
+    camera_from_body = np.linalg.inv(mounting)
     cost = np.zeros(len(turns))
     few = matches[:: max(1, len(matches) // 12)]
     for one in few:
         pose = poses.at(np.array(one.times))
-        relative = inverse @ np.linalg.inv(pose[1]) @ pose[0] @ mounting
+        relative = camera_from_body @ np.linalg.inv(pose[1]) @ pose[0] @ mounting
         chosen = rng.permutation(len(one.one))[: _SAMPLE // len(few)]
         angle = _angles(relative[:, :3, :3], relative[:, :3, 3], one.one[chosen], one.other[chosen])
         cost += np.minimum(np.abs(angle), _TRUNCATED).mean(axis=1)
@@ -160,15 +254,13 @@ def estimate_rotation(
         `body_from_camera` with the position of the guess, and the misfit of the fit, whose scale is an angle [rad].
     """
     moving = [one for one in matches if _baseline(one, poses) > _BASELINE]
-    if len(moving) < LEAST_PAIRS:
-        return "too few pairs of its images share features while the vehicle moves"
     results = []
-    for start in candidates(guess, moving, poses, np.random.default_rng(0)):
+    for start in candidates(guess, moving, poses, np.random.default_rng(0)) if len(moving) >= LEAST_PAIRS else []:
         # Linearised near the candidate, so that large rotations remain rotations.
         mounting = turned(guess, start)
 
         def compare(now: Parameters, at: np.ndarray = mounting) -> list[Pair]:
-            return [_compared(one, at, poses, now) for one in moving]
+            return [_off_lines(one, at, poses, now) for one in moving]
 
         misfit = fit_misfit(compare, prior=_PRIOR, rounds=10)
         if misfit is not None:
@@ -184,8 +276,8 @@ def median_angle(matches: Sequence[Matches], mounting: Float[np.ndarray, "4 4"],
     return float(np.nanmedian(np.abs(np.concatenate(angles)))) if angles else np.nan
 
 
-def _compared(matches: Matches, mounting: Float[np.ndarray, "4 4"], poses: Poses, now: Parameters) -> Pair:
-    return differentiated(lambda p: epipolar_angles(matches, mounting, poses, p), now)
+def _off_lines(matches: Matches, mounting: Float[np.ndarray, "4 4"], poses: Poses, now: Parameters) -> Pair:
+    return differentiated(lambda parameters: epipolar_angles(matches, mounting, poses, parameters), now)
 
 
 def _cost(matches: Sequence[Matches], mounting: Float[np.ndarray, "4 4"], poses: Poses, late: float) -> float:

@@ -1,8 +1,11 @@
-"""Estimate of a LiDAR's mounting from a rough guess, by the ground plane, the driven path and a final fit.
+"""Estimates of a LiDAR's mounting and delay from the consistency of scan pairs.
 
-Roll and pitch: the mean ground normal over the drive is vertical in the body frame. Yaw: scans taken some metres apart
-align only if the mounting's heading matches the direction of travel; the full circle is searched. From the best
-headings, a point-to-plane fit (`lidar.check_lidar`) refines the result.
+Points of one scan are transformed by the poses into another; their distances from its planes (Chen and Medioni, 1992)
+depend on the LiDAR's mounting while the vehicle moves or turns, and on its delay while it turns or changes speed.
+
+A guess may be far off: roll and pitch then come from the mean ground normal over the drive, which is vertical in the
+body frame, and yaw from scans some metres apart, which align only if the mounting's heading matches the direction of
+travel; the full circle is searched. From the best headings, the fit to planes refines the result.
 """
 
 from collections.abc import Sequence
@@ -14,12 +17,17 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from offpiste.inspection.lidar import check_lidar
-from offpiste.inspection.misfit import Misfit, turned
-from offpiste.inspection.sensor_samples import Grey, Scan, pairs
+from offpiste.calibration.misfit import PRIOR, Misfit, Pair, Parameters, differentiated, fit_misfit, planes, turned
+from offpiste.calibration.samples import Grey, Scan, pairs
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 
+_SAMPLE: Final = 1500
+"""Number of points per scan compared with planes of the other."""
+_REACH: Final = 1.0
+"""Search radius for a plane [m]: a few degrees at 20 m."""
+_FURTHEST: Final = 40.0
+"""Maximum range; beyond it, points are too sparse for planes [m]."""
 GROUND: Final = np.deg2rad(1.0)
 """Standard deviation of the ground slope in the body frame, due to camber, load and suspension [rad]."""
 _LEVEL: Final = np.cos(np.deg2rad(40.0))
@@ -65,6 +73,66 @@ class LidarMounting:
     body_from_lidar: Float[np.ndarray, "4 4"]
     misfit: Misfit
     runner_up: float
+
+
+def check_lidar(
+    lidar: Lidar,
+    scans: Sequence[Scan],
+    poses: Poses,
+    *,
+    prior: Parameters = PRIOR,
+    start: Parameters | None = None,
+    rounds: int = 6,
+) -> Misfit | None:
+    """Estimate the errors of a LiDAR's mounting and stamps; None with too few usable scans.
+
+    Args:
+        prior, start, rounds: as for `fit_misfit`; more than four entries also estimate the position.
+    """
+    rng = np.random.default_rng(0)
+    chosen = [rng.permutation(len(scan.points))[:_SAMPLE] for scan in scans]
+    couples = list(pairs([scan.time for scan in scans]))
+
+    def compare(parameters: Parameters) -> list[Pair]:
+        return [_compared(lidar, scans[i], scans[j], chosen[i], poses, parameters) for i, j in couples]
+
+    return fit_misfit(compare, prior=prior, start=start, rounds=rounds)
+
+
+def median_distance(lidar: Lidar, scans: Sequence[Scan], poses: Poses) -> float:
+    """Return the median distance of points from the next scan's planes as mounted now [m]; NaN without pairs."""
+    rng = np.random.default_rng(0)
+    couples = list(pairs([scan.time for scan in scans]))
+    distances = []
+    for i, j in couples[:: max(1, len(couples) // 12)]:
+        chosen = rng.permutation(len(scans[i].points))[:_SAMPLE]
+        distances.append(np.abs(_compared(lidar, scans[i], scans[j], chosen, poses, np.zeros(4)).residual))
+    known = np.concatenate(distances) if distances else np.zeros(0)
+    return float(np.median(known)) if len(known) else np.nan
+
+
+def _compared(lidar: Lidar, one: Scan, other: Scan, chosen: np.ndarray, poses: Poses, parameters: Parameters) -> Pair:
+    """Return distances of one scan's points from planes of another, and their Jacobian."""
+    mounting = lidar.body_from_lidar
+    there = other.in_world(mounting, poses, parameters)
+    here = one.in_world(mounting, poses, parameters, chosen)
+    known = np.flatnonzero(np.isfinite(there).all(axis=1))
+    usable = np.isfinite(here).all(axis=1) & (np.linalg.norm(one.points[chosen], axis=1) < _FURTHEST)
+    if len(known) < 100 or not usable.any():
+        return Pair(np.zeros(0), np.zeros((0, len(parameters))))
+    chosen, here = chosen[usable], here[usable]
+    tree = cKDTree(there[known])
+    distance, nearest = tree.query(here, distance_upper_bound=_REACH)
+    result = np.isfinite(distance)
+    chosen, here, nearest = chosen[result], here[result], known[nearest[result]]
+    normal, flat = planes(there[known], tree, there[nearest])
+    chosen, here, nearest, normal = chosen[flat], here[flat], nearest[flat], normal[flat]
+
+    def residual(at: Parameters) -> np.ndarray:
+        apart = one.in_world(mounting, poses, at, chosen) - other.in_world(mounting, poses, at, nearest)
+        return np.einsum("ni,ni->n", normal, apart)
+
+    return differentiated(residual, parameters)
 
 
 def estimate_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses) -> LidarMounting | str:
@@ -157,7 +225,7 @@ def _fitted(
 ) -> tuple[Float[np.ndarray, "4 4"], Misfit] | None:
     """Fit few pairs from a heading; return the mounting and its misfit."""
     start = turned(level.body_from_lidar, np.array([0.0, 0.0, yaw, 0.0]))
-    few = [_thinned(scan) for scan in _some(scans)]
+    few = [scan.kept(slice(None, None, max(1, len(scan.points) // 6000))) for scan in _some(scans)]
     misfit = check_lidar(replace(level, body_from_lidar=start), few, poses, prior=_PRIOR[:4], rounds=4)
     return None if misfit is None else (turned(start, misfit.parameters), misfit)
 
@@ -189,11 +257,6 @@ def mean_turn(poses: Poses, measured: Sequence[Scan] | Sequence[Grey]) -> float:
     return float(np.sqrt((angle**2).mean())) if len(angle) else 0.0
 
 
-def _thinned(scan: Scan) -> Scan:
-    every = max(1, len(scan.points) // 6000)
-    return replace(scan, which=scan.which[::every], points=scan.points[::every])
-
-
 def _some(scans: Sequence[Scan]) -> list[Scan]:
     """Return scans of eight pairs spread over the drive."""
     couples = list(pairs([scan.time for scan in scans]))
@@ -218,9 +281,7 @@ def _couples(scans: Sequence[Scan], poses: Poses) -> list[tuple[int, int]]:
 def _levelled(lidar: Lidar, normals: Float[np.ndarray, "n 3"]) -> Lidar:
     """Rotate the guess by the smallest angle that makes the ground level."""
     up = lidar.body_from_lidar[:3, :3] @ _middle(normals)
-    axis = np.cross(up, [0.0, 0.0, 1.0])
-    sine = float(np.linalg.norm(axis))
-    turn = axis / max(sine, 1e-12) * np.arctan2(sine, up[2])
+    turn = Rotation.align_vectors([0.0, 0.0, 1.0], up)[0].as_rotvec()
     return replace(lidar, body_from_lidar=turned(lidar.body_from_lidar, np.append(turn, 0.0)))
 
 
@@ -246,5 +307,4 @@ def _between(one: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"]) -> 
 
 def beyond(scan: Scan, near: float) -> Scan:
     """Drop the points of a scan nearer than this [m]."""
-    kept = np.linalg.norm(scan.points, axis=1) > near
-    return replace(scan, which=scan.which[kept], points=scan.points[kept])
+    return scan.kept(np.linalg.norm(scan.points, axis=1) > near)

@@ -1,18 +1,17 @@
-"""Check for returns from the vehicle itself, which are static in the body frame while the vehicle drives."""
+"""Search for returns from the vehicle itself, which are static in the body frame while the vehicle drives."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.findings import Finding
-from offpiste.inspection.sensor_samples import Scan
+from offpiste.calibration.samples import Scan
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
-from offpiste.rig.edits import Edit
 
-_AROUND: Final = 1.5
+AROUND: Final = 1.5
 """Margin around the wheels within which vehicle parts are searched [m]."""
 _ABOVE_GROUND: Final = 0.5
 """Minimum height above the ground of returns from the vehicle [m]; the ground is static in the body frame as well."""
@@ -33,33 +32,43 @@ _MARGIN: Final = 0.1
 """Margin of the box around static returns [m]."""
 
 
-def check_own_body(
+@dataclass(frozen=True)
+class OwnBody:
+    """Returns from the vehicle itself.
+
+    Attributes:
+        box: lower and upper corner in the body frame [m].
+        returns: mean number of returns per scan.
+        scans: number of compared scans.
+    """
+
+    box: Float[np.ndarray, "2 3"]
+    returns: float
+    scans: int
+
+
+def find_own_body(
     lidar: Lidar, scans: Sequence[Scan], poses: Poses, wheels: Sequence[tuple[float, float]]
-) -> list[Finding]:
-    """Return a finding if returns above the ground near the wheels are static in the body frame.
+) -> OwnBody | None:
+    """Find returns above the ground near the wheels that are static in the body frame; return None if there are few.
 
     Args:
         wheels: x, y in the body frame [m].
     """
-    low, high = np.min(wheels, axis=0) - _AROUND, np.max(wheels, axis=0) + _AROUND
+    low, high = np.min(wheels, axis=0) - AROUND, np.max(wheels, axis=0) + AROUND
     seen = [_above_ground(lidar, scan, low, high) for scan in _apart(scans, poses)]
     if len(seen) < _SCANS:
-        return []
+        return None
     voxels = [np.floor(points / _VOXEL).astype(np.int64) for points in seen]
     places, count = np.unique(np.concatenate([np.unique(v, axis=0) for v in voxels]), axis=0, return_counts=True)
     standing = places[count > _OFTEN * len(seen)]
-    returns = [np.isin(v @ _NUMBERS, standing @ _NUMBERS).sum() for v in voxels]
-    if not np.mean(returns) > _RETURNS:
-        return []
+    returns = float(np.mean([np.isin(v @ _NUMBERS, standing @ _NUMBERS).sum() for v in voxels]))
+    if not returns > _RETURNS:
+        return None
     box = np.array([standing.min(axis=0) * _VOXEL - _MARGIN, (standing.max(axis=0) + 1) * _VOXEL + _MARGIN])
     if lidar.source.own_body is not None:
         box = np.array([np.minimum(box[0], lidar.source.own_body[0]), np.maximum(box[1], lidar.source.own_body[1])])
-    cure = Edit(f"lidars.{lidar.name}.own_body", box.round(2).tolist())
-    evidence = (
-        f"{np.mean(returns):.0f} returns a scan stay at the same places of the body frame, above the ground and within "
-        f"{_AROUND:g} m of the wheels, in {len(seen)} scans on the way"
-    )
-    return [Finding("warning", lidar.name, "sees the vehicle itself", evidence, str(cure), 1.0, ((cure,),))]
+    return OwnBody(box, returns, len(seen))
 
 
 def _apart(scans: Sequence[Scan], poses: Poses) -> list[Scan]:

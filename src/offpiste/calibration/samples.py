@@ -1,15 +1,15 @@
 """Scans and images of the first minute of driving, held in memory for sensor checks."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from offpiste.calibration.misfit import Parameters, turned
 from offpiste.core.progress import track
-from offpiste.inspection.misfit import Parameters, turned
 from offpiste.logs.measurements import Camera, Cloud, Image
 from offpiste.logs.poses import Poses
 from offpiste.logs.sensor_log import SensorLog
@@ -45,6 +45,10 @@ class Scan:
     which: np.ndarray
     points: Float[np.ndarray, "n 3"]
     time: float
+
+    def kept(self, rows: np.ndarray | slice) -> "Scan":
+        """Return the scan with some of its points."""
+        return replace(self, which=self.which[rows], points=self.points[rows])
 
     def in_world(
         self,

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from offpiste.core.conventions import SIGMA_PER_MEDIAN
@@ -22,6 +23,8 @@ STEPS: Final = np.array([*np.deg2rad([0.05, 0.05, 0.05]), 0.04, 0.01, 0.01, 0.01
 dominate a short one."""
 LEAST_PAIRS: Final = 8
 """Minimum number of pairs; fewer do not show their own scatter."""
+_NEIGHBOURS: Final = 12
+"""Number of points of a plane."""
 _BIWEIGHT: Final = 4.685
 """Tuning constant for 95 % efficiency with normal errors."""
 
@@ -121,3 +124,25 @@ def _step(pairs: Sequence[Pair], start: Parameters, prior: Parameters) -> Misfit
     few = len(pairs) / (len(pairs) - len(prior))
     covariance = inverse @ (few * shared.T @ shared) @ inverse + inverse
     return Misfit(start + step * prior, np.sqrt(np.diag(covariance)) * prior, len(pairs), scale, len(residual))
+
+
+def differentiated(residual: Callable[[Parameters], Float[np.ndarray, " n"]], parameters: Parameters) -> Pair:
+    """Return a residual [n] and its Jacobian by central differences; rows with unknown values are dropped."""
+    steps = np.diag(STEPS[: len(parameters)])
+    slopes = [(residual(parameters + s) - residual(parameters - s)) / (2 * s.sum()) for s in steps]
+    value, slope = residual(parameters), np.stack(slopes, axis=1)
+    known = np.isfinite(value) & np.isfinite(slope).all(axis=1)
+    return Pair(value[known], slope[known])
+
+
+def planes(
+    points: Float[np.ndarray, "n 3"], tree: cKDTree, at: Float[np.ndarray, "m 3"]
+) -> tuple[Float[np.ndarray, "m 3"], Bool[np.ndarray, " m"]]:
+    """Return unit normals of point neighbourhoods, and a mask of the planar ones that are not a single ring."""
+    if len(points) < _NEIGHBOURS or not len(at):
+        return np.zeros((len(at), 3)), np.zeros(len(at), dtype=bool)
+    distance, index = tree.query(at, k=_NEIGHBOURS)
+    near = points[index] - points[index].mean(axis=1, keepdims=True)
+    spread, axes = np.linalg.eigh(np.einsum("mki,mkj->mij", near, near) / _NEIGHBOURS)
+    flat = (spread[:, 0] < 0.1 * spread[:, 1]) & (spread[:, 1] > 0.04 * spread[:, 2]) & (spread[:, 0] < 0.05**2)
+    return axes[:, :, 0], flat & (distance[:, -1] < 2.0)

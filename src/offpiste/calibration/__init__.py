@@ -1,0 +1,1 @@
+"""Mountings and delays of cameras and LiDARs, and their effects on maps, estimated from the drive itself."""
