@@ -92,9 +92,9 @@ def test_a_time_that_no_name_shows_is_named(log: str, capsys: pytest.CaptureFixt
     assert 'column = "moment"' in Path("my.toml").read_text("utf-8")
     assert run("inspect", "odd.csv", "--rig", "my.toml") == 0
     capsys.readouterr()
-    assert "--time is for one log without a rig" in refusal(
-        capsys, "inspect", "odd.csv", "--time", "moment", "--rig", "my.toml"
-    )
+    for option in ("--time", "--namespace"):
+        why = refusal(capsys, "inspect", "odd.csv", option, "moment", "--rig", "my.toml")
+        assert f"{option} is for one log without a rig" in why
 
 
 def test_a_column_that_cannot_be_read_is_said_to_be_and_not_to_be_missing(
