@@ -47,6 +47,14 @@ thr_pct brk_pct str_cmd: throttle thr_pct, brake brk_pct, steer str_cmd; tps p_b
 p_brake_f: brake_pressure p_brake_f; brake_pressure: brake_pressure brake_pressure
 a commands/servo/position: steer commands/servo/position
 DM.Steer.AngVel DM.Steer.Ang: steer_angle DM.Steer.Ang; handlebar tiller: steer handlebar; shift_cmd: gear shift_cmd
+ang_vel_z n: yaw_rate ang_vel_z; desired_yaw_rate yaw_rate: yaw_rate yaw_rate; desired_yaw angle_yaw_1: yaw angle_yaw_1
+euler.x euler.y euler.z: yaw euler.z; ypr.x ypr.y ypr.z: yaw ypr.x; road_wheel_angle n: steer_angle road_wheel_angle
+delta_f n: steer_angle delta_f; normalized_steering_angle wheel_angle: steer_angle wheel_angle
+steering_rate actual_steer: steer_angle actual_steer; bps_front n m: brake bps_front; pps n m: throttle pps
+motor_cmd n: throttle motor_cmd; accel n: throttle accel; travel_direction n: gear travel_direction
+propulsive_linear_effort_x resistive_linear_effort_x: throttle propulsive_linear_effort_x, brake resistive_linear_effort_x
+propulsive_rotational_effort_z n: steer propulsive_rotational_effort_z; engine_speed speed_wheels: wheel_speed speed_wheels
+wind_speed v_ego: wheel_speed v_ego
 """
 """Columns, and for each channel the one that is read."""
 
