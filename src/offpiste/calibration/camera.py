@@ -152,7 +152,7 @@ def _on_surfaces(
 ) -> Pair:
     """Return the distances of second directions from the places where first ones meet a surface, x and y [rad]."""
 
-    def cameras(parameters: Parameters) -> Float[np.ndarray, "2 4 4"]:
+    def cameras(parameters: Parameters) -> np.ndarray:
         return poses.at(np.array(matches.times) - parameters[3]) @ turned(body_from_camera, parameters)
 
     first = cameras(now)[0]
@@ -171,7 +171,7 @@ def _on_surfaces(
     rows, at, normal = rows[flat], at[flat], normal[flat]
     one, other = matches.one[rows], matches.other[rows, :2] / matches.other[rows, 2:]
 
-    def residual(parameters: Parameters) -> Float[np.ndarray, " m"]:
+    def residual(parameters: Parameters) -> np.ndarray:
         here, there = cameras(parameters)
         rays, origin = one @ here[:3, :3].T, here[:3, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
