@@ -52,9 +52,10 @@ euler.x euler.y euler.z: yaw euler.z; ypr.x ypr.y ypr.z: yaw ypr.x; road_wheel_a
 delta_f n: steer_angle delta_f; normalized_steering_angle wheel_angle: steer_angle wheel_angle
 steering_rate actual_steer: steer_angle actual_steer; bps_front n m: brake bps_front; pps n m: throttle pps
 motor_cmd n: throttle motor_cmd; accel n: throttle accel; travel_direction n: gear travel_direction
-propulsive_linear_effort_x resistive_linear_effort_x: throttle propulsive_linear_effort_x, brake resistive_linear_effort_x
-propulsive_rotational_effort_z n: steer propulsive_rotational_effort_z; engine_speed speed_wheels: wheel_speed speed_wheels
-wind_speed v_ego: wheel_speed v_ego
+propulsive_linear_effort_x n: throttle propulsive_linear_effort_x; goal_x goal_y x y: position x
+resistive_linear_effort_x n: brake resistive_linear_effort_x; wind_speed v_ego: wheel_speed v_ego
+propulsive_rotational_effort_z n: steer propulsive_rotational_effort_z
+engine_speed speed_wheels: wheel_speed speed_wheels
 """
 """Columns, and for each channel the one that is read."""
 
