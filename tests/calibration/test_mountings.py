@@ -1,6 +1,7 @@
 """Mountings and delays of sensors in a world of planes, and parts of the vehicle in their view."""
 
 from dataclasses import replace
+from unittest.mock import Mock, create_autospec
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ import textured_world as world
 from offpiste.calibration.camera import check_camera, estimate_rotation, matched
 from offpiste.calibration.lidar import check_lidar, estimate_lidar
 from offpiste.calibration.misfit import PRIOR, turned
-from offpiste.calibration.mountings import EstimatedMounting
+from offpiste.calibration.mountings import EstimatedMounting, estimated
 from offpiste.calibration.own_body import find_own_body
+from offpiste.calibration.samples import Gathered
+from offpiste.logs.sensor_log import SensorLog
 from offpiste.rig.sensors import OPTICAL, LidarSource
 
 FAR = np.deg2rad([6.0, -7.0, 14.0])
@@ -71,6 +74,26 @@ def test_the_place_of_a_camera():
     found = surfaced(moved, images=world.images()[:12], scans=FEW, prior=np.append(PRIOR, [3.0, 3.0, 3.0]))
     assert found is not None
     np.testing.assert_allclose(found.parameters[4:], [-0.5, 0.4, 1.0], atol=0.1)
+
+
+def test_a_lidar_and_a_camera_without_a_place_from_guesses_far_off():
+    lidar, camera = wrong_lidar(FAR), world.camera(FAR)
+    given = camera.camera.body_from_camera.copy()
+    given[:3, 3] = 0
+    camera = replace(camera, camera=replace(camera.camera, body_from_camera=given))
+    sensors = create_autospec(SensorLog, instance=True, lidars={"top": lidar}, poses=world.poses(), rig=Mock())
+    sensors.rig.vehicle.wheel_positions = WHEELS
+    gathered = Gathered({"top": world.scans()}, {"front": world.images()}, 0.0, world.SECONDS, 0.5)
+    places = {"top": (lidar.body_from_lidar, True), "front": (given, False)}
+    top, front = estimated(sensors, {"front": camera}, gathered, places)
+    for one, true in ((top, world.BODY_FROM_LIDAR), (front, world.BODY_FROM_CAMERA)):
+        assert one.refused == ""
+        assert angle(one.mounting, true) < 0.3
+        np.testing.assert_allclose(one.mounting[:3, 3], true[:3, 3], atol=0.1)
+        assert one.after < 0.5 * one.before
+    assert np.isnan(top.place_sigma[2])  # of the guess
+    (unseen,) = estimated(sensors, {}, replace(gathered, scans={"top": world.scans()[:2]}), places)
+    assert unseen.refused == "top: the vehicle hardly moves while it measures: its heading is not observable"
 
 
 def test_rig_line_angles_and_refusal():

@@ -139,7 +139,7 @@ def check_camera(
         mounting = camera.camera.body_from_camera
         return [_on_surfaces(one, mounting, world, tree, poses, now) for one, world, tree in couples]
 
-    return fit_misfit(compare, prior=prior)
+    return fit_misfit(compare, prior=prior, rounds=20)  # from a place metres off, it takes about ten
 
 
 def _on_surfaces(

@@ -33,7 +33,7 @@ PLACE: Final = 0.15
 _WORLD: Final = 0.2
 """Maximum distance of scans from each other's planes for a consistent world [m]."""
 _LINES: Final = np.deg2rad(0.3)
-"""Maximum angle of matches from their epipolar lines for a valid rotation [rad]."""
+"""Maximum angle of matches from their epipolar lines, or from surfaces, for a valid rotation [rad]."""
 _RIVAL: Final = 1.15
 """Maximum residual ratio at which the second-best heading makes the result ambiguous."""
 _REPLACED: Final = np.deg2rad(5.0)
@@ -253,12 +253,12 @@ def _camera(
     if isinstance(found, str):
         return replace(failed, refused=f"{name}: {found}")
     mounting, misfit = found
+    if ruler is not None:
+        mounting, misfit = _fine(camera, matches, ruler, poses, mounting, misfit, placed)
     if misfit.scale > _LINES:
         angle = np.rad2deg(misfit.scale)
         why = f"no rotation explains the motion in its images ({angle:.1f} degrees left)"
         return replace(failed, refused=f"{name}: {why}")
-    if ruler is not None:
-        mounting, misfit = _fine(camera, matches, ruler, poses, mounting, misfit, placed)
     if why := _vague(name, misfit.sigma[:3], mean_turn(poses, images)):
         return replace(failed, refused=why)
     after = focal * median_angle(matches, mounting, poses)
