@@ -12,7 +12,7 @@ from offpiste.core.errors import OffpisteError
 from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.channels import GEOGRAPHIC
-from offpiste.rig.labels import GEOGRAPHIC_NAMES, PATTERNS, VOCABULARY, Label, is_named, parse_label, with_letters
+from offpiste.rig.labels import PATTERNS, VOCABULARY, Label, is_named, parse_label, with_letters
 
 Group = tuple[str, tuple[str, ...], str, int]
 """A channel, its candidate fields, their unit, and the rank of their names (0 is best)."""
@@ -147,9 +147,9 @@ def _arrays(topic: Topic) -> Iterator[Group]:
 def _places(named: Mapping[str, Label]) -> Iterator[Group]:
     """Yield geographic positions, e.g. of sensor_msgs/NavSatFix."""
     found = []
-    for pattern, units in zip(GEOGRAPHIC_NAMES, (("", "deg", "rad"), ("", "deg", "rad"), ("", "m")), strict=True):
+    for kind, units in (("latitude", ("", "deg", "rad")), ("longitude", ("", "deg", "rad")), ("height", ("", "m"))):
         of_unit = ((field, label.name) for field, label in named.items() if label.unit in units)
-        found.append(next((f for f, name in of_unit if pattern.search(name) and not is_named("lateral", name)), ""))
+        found.append(next((f for f, name in of_unit if is_named(kind, name) and not is_named("lateral", name)), ""))
     if found[0] and found[1]:
         yield "position", tuple(filter(None, found)), GEOGRAPHIC, 1
 

@@ -24,7 +24,6 @@ VOCABULARY: Final = tomllib.loads((resources.files("offpiste.rig") / "vocabulary
 
 PATTERNS: Final = {name: re.compile(pattern) for name, pattern in VOCABULARY["patterns"].items()}
 """Patterns of names (see vocabulary.toml)."""
-GEOGRAPHIC_NAMES: Final = tuple(PATTERNS[name] for name in ("latitude", "longitude", "height"))
 PRESSURES: Final = frozenset(("pa", "kpa", "mpa", "bar", "psi"))
 """Units of pressures."""
 
