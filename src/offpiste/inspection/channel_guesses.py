@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from offpiste.core.channels import ACTUATORS, CONTROLS, all_actuators, all_controls
-from offpiste.inspection.commanded_motion import is_asked_for, motion_commands
+from offpiste.inspection.commanded_motion import is_commanded, motion_commands
 from offpiste.inspection.field_groups import are_quaternions, field_groups, fours
 from offpiste.logs.log import Log, Topic
 from offpiste.logs.transforms import frame_pair
@@ -43,8 +43,8 @@ class Guess:
     Attributes:
         unit: as stated by the log (`offpiste.rig.labels`), or "".
         rank: distance between the source's name and the channel's name; 0 is the best match.
-        asked_for: True if the topic's type or name, or a field name, marks a command.
-        in_hand: whether the angle appears to be a steering-wheel angle, judging from the motion.
+        is_command: True if the topic's type or name, or a field name, marks a command.
+        is_handwheel: whether the angle appears to be a steering-wheel angle, judging from the motion.
         why: reason of the guess.
     """
 
@@ -53,8 +53,8 @@ class Guess:
     fields: tuple[str, ...]
     unit: str = ""
     rank: int = 0
-    asked_for: bool = False
-    in_hand: bool = False
+    is_command: bool = False
+    is_handwheel: bool = False
     why: str = "by its name"
 
 
@@ -147,7 +147,7 @@ def _first_match(topic: Topic, field: str, label: Label) -> Iterator[Guess]:
         if channel == "brake" and label.unit in PRESSURES:
             channel = "brake_pressure"
         if channel in in_any_unit or channel_unit(channel, label.unit) is not None:
-            asked = is_asked_for(topic, (field,)) or is_named("set", label.name)
+            asked = is_commanded(topic, (field,)) or is_named("set", label.name)
             asked = asked and not is_named("actual", parse_label(field).name)
             yield Guess(channel, topic.name, (field,), label.unit, rank, asked)
             return

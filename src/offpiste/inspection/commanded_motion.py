@@ -30,7 +30,7 @@ def motion_commands(topic: Topic, named: Mapping[str, Label]) -> Iterator[tuple[
     Args:
         named: name and unit of the topic's fields.
     """
-    by_topic = is_asked_for(topic)
+    by_topic = is_commanded(topic)
     asked = {field: label for field, label in named.items() if by_topic or is_named("commanded", label.name)}
     plain = {field: PATTERNS["command_words"].sub(" ", label.name).strip(" ._/") for field, label in asked.items()}
     usable = [field for field, name in plain.items() if not is_named("not_motion", name)]
@@ -45,7 +45,7 @@ def motion_commands(topic: Topic, named: Mapping[str, Label]) -> Iterator[tuple[
         yield "steer", (turn, speed), asked[turn].unit or "rad/s"
 
 
-def is_asked_for(topic: Topic, fields: tuple[str, ...] = ()) -> bool:
+def is_commanded(topic: Topic, fields: tuple[str, ...] = ()) -> bool:
     """Return True if the type or name of a topic, or any of these fields, marks a command."""
     if is_named("command_types", topic.type) and not is_named("measured", topic.name):
         return True

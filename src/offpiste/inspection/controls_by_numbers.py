@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from offpiste.core.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, labels
-from offpiste.inspection.commanded_motion import is_asked_for
+from offpiste.inspection.commanded_motion import is_commanded
 from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
 from offpiste.inspection.pedals import pedal_fit
@@ -198,7 +198,7 @@ def is_measured_topic(topic: Topic) -> bool:
 def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
     """Yield unused varying fields not named as measurements, commands first."""
     unread = list(_unread(log, rig))
-    for guess in sorted(unread, key=lambda guess: not (guess.asked_for or is_named("to_actuators", guess.topic))):
+    for guess in sorted(unread, key=lambda guess: not (guess.is_command or is_named("to_actuators", guess.topic))):
         try:
             values = log.read(guess.topic, guess.fields).values[:, 0]
         except OffpisteError:
@@ -219,7 +219,7 @@ def _unread(log: Log, rig: Rig) -> Iterator[Guess]:
             asked = is_named("commanded", topic.name, label.name)
             moved = not asked and is_named("caused", label.name.rpartition("/")[2])
             if (topic.name, field) not in read and field not in (log.clock.column, *sides) and not moved:
-                yield Guess("", topic.name, (field,), label.unit, asked_for=is_asked_for(topic, (field,)))
+                yield Guess("", topic.name, (field,), label.unit, is_command=is_commanded(topic, (field,)))
 
 
 def _sides(topic: Topic, log: Log) -> list[str]:

@@ -39,7 +39,7 @@ class Known:
         plain: True if fields named as speed and turn rate are throttle and steering themselves.
         heading: unit of a yaw if the course contradicts its range, e.g. for an unwrapped yaw.
         backwards: True if negative pedal values drive backwards.
-        in_hand: True if the steering angle is the steering wheel's.
+        is_handwheel: True if the steering angle is the steering wheel's.
     """
 
     namespace: str = ""
@@ -52,7 +52,7 @@ class Known:
     plain: bool = False
     heading: str = ""
     backwards: bool = False
-    in_hand: bool = False
+    is_handwheel: bool = False
 
 
 NOTHING: Final = Known()
@@ -78,8 +78,8 @@ def draft_channels(log: Log, known: Known = NOTHING) -> dict[str, Entry]:
         angle = scalars.pop("steer_angle")
         # Without a command, a position of any unit is the steering; a joint's position is an angle.
         scalars["steer"] = angle if is_array_entry(angle.guess.fields[0]) else angle.of(channel="steer")
-    if known.in_hand and "steer_angle" in scalars:
-        scalars["steer_angle"] = scalars["steer_angle"].of(in_hand=True)
+    if known.is_handwheel and "steer_angle" in scalars:
+        scalars["steer_angle"] = scalars["steer_angle"].of(is_handwheel=True)
     steering = draft_steering(scalars, known.straight, known.max_steer)
     others = {name: _entry(name, scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
     entries |= others | signed_pedal(scalars, backwards=known.backwards) | steering
@@ -103,7 +103,7 @@ def _scalars(log: Log, guesses: list[Guess], pose: Mapping[str, Entry]) -> dict[
     pose_topic = pose["position"].guess.topic if "position" in pose else ""
     scalars: dict[str, Scalar] = {}
     for guess in guesses:
-        commanded = guess.channel == "steer_angle" and guess.rank < MEASURED and guess.asked_for
+        commanded = guess.channel == "steer_angle" and guess.rank < MEASURED and guess.is_command
         channel = "steer" if commanded else guess.channel
         vague = channel == "wheel_speed" and guess.rank > 1
         if channel in unused or channel in scalars or (vague and guess.topic != pose_topic):

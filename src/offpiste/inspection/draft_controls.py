@@ -38,7 +38,6 @@ LARGEST_SHARE: Final = 1.05
 """Maximum value of a control from 0 to 1 or -1 to 1; larger ones have a unit or another scale."""
 _BELOW: Final = 0.05
 """Minimum range below the rest position of a pedal that also brakes, as a share of the range above."""
-
 _ALIKE: Final = (0.9, 1.1)
 """Ratio of the largest command to the largest measured angle if the command is an angle."""
 
@@ -133,7 +132,7 @@ def signed_pedal(scalars: Mapping[str, Scalar], *, backwards: bool = False) -> d
 
 
 def _is_two_way(throttle: Scalar, *, is_only: bool) -> bool:
-    """Return True for a signed pedal; a trigger rests at an end of its range, but so may a throttle if it is all."""
+    """Return True for a signed pedal; beside a brake, a pedal that rests at its upper end is a trigger."""
     values = throttle.values
     trigger = not is_only and rests_high(values) and not rests_between(values)
     return find_wrap(values) is None and is_signed(values) and not trigger
@@ -162,9 +161,9 @@ def draft_steering(scalars: Mapping[str, Scalar], straight: float | None, max_st
         straight, max_steer: see `offpiste.inspection.draft_channels.Known`.
     """
     steer, angle = scalars.get("steer"), scalars.get("steer_angle")
-    in_hand: dict[str, Entry] = {}
+    handwheel: dict[str, Entry] = {}
     if angle is not None and not _to_radians(angle):  # steering wheel angle
-        in_hand = _in_hand(steer, angle, max_steer)
+        handwheel = _from_handwheel(steer, angle, max_steer)
         steer, angle = steer if steer is not None and steer.guess.rank < FALLBACK else angle, None
     elif angle is not None and steer is not None and steer.guess.rank >= FALLBACK:
         steer = None
@@ -174,7 +173,7 @@ def draft_steering(scalars: Mapping[str, Scalar], straight: float | None, max_st
     factor = _to_radians(command) if _is_angle(command) else 0.0
     if not factor and steer is not None and angle is not None and _are_alike(steer, angle):
         factor = _to_radians(angle)
-    if factor and angle is None and not command.guess.asked_for:
+    if factor and angle is None and not command.guess.is_command:
         angle = command
     measured = command is angle
     entries = {"steer": _from_angle(command, factor, measured=measured) if factor else _command(command, straight)}
@@ -186,12 +185,12 @@ def draft_steering(scalars: Mapping[str, Scalar], straight: float | None, max_st
         if not entries["steer"].max_angle:
             stated = rounded(angle.largest * factor / min(command.largest, 1.0))
             entries["steer"] = replace(entries["steer"], max_angle=stated if stated < RANGES["steepest"] else 0.0)
-    return entries | in_hand
+    return entries | handwheel
 
 
-def _in_hand(steer: Scalar | None, angle: Scalar, max_steer: float) -> dict[str, Entry]:
+def _from_handwheel(steer: Scalar | None, angle: Scalar, max_steer: float) -> dict[str, Entry]:
     """Return the road wheel angle from the steering wheel angle, scaled by a command of it in the same unit."""
-    if steer is None or not (max_steer and steer.guess.asked_for and _is_angle(steer)) or _to_radians(steer):
+    if steer is None or not (max_steer and steer.guess.is_command and _is_angle(steer)) or _to_radians(steer):
         return {}
     if steer.guess.unit != angle.guess.unit or not 0.5 < angle.largest / steer.largest < 2:
         return {}
@@ -256,7 +255,7 @@ def _to_radians(steer: Scalar) -> float:
     """Return the factor to radians of a road wheel angle; 0 if it is too large or is the steering wheel's."""
     guess = steer.guess
     names = (guess.topic, *guess.fields, *(parse_label(name).name for name in guess.fields))
-    if guess.in_hand or is_named("steering_wheel", *names):
+    if guess.is_handwheel or is_named("steering_wheel", *names):
         return 0.0
     units = [channel_unit("steer_angle", guess.unit) or ""] if guess.unit else ["", "deg"]
     factors = (unit_factor("steer_angle", unit) for unit in units)

@@ -105,7 +105,7 @@ def draft_rig(log: Log, namespace: str = "") -> str:
     seen, (shortest, longest) = driven(log, rig), RANGES["wheelbases"]
     wheelbase, assumed = shown_wheelbase(seen), False
     if wheelbase > longest:
-        rig = redrafted(known := replace(known, in_hand=True))
+        rig = redrafted(known := replace(known, is_handwheel=True))
         seen = driven(log, rig)
     wheelbase = wheelbase if shortest < wheelbase < longest else 0.0
     steering = None if seen is None else seen.steering("steer")
