@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from live.synthetic_robot import START, cloud, live_settings, odometry, plan, planner, reading, small_settings, tree
-from offpiste.live.control import Controller
+from offpiste.live.control import Controller, SteadyAges
 from offpiste.live.map_and_plan import Plans, _within_reach
 from offpiste.live.part import STAMP, Part, TrackFeed
 from offpiste.live.reception import Reception
@@ -19,6 +19,7 @@ from offpiste.live.robot_messages import VehicleMessages
 from offpiste.live.session import new_session
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import VehicleTrack
+from offpiste.runtime.follower import MapState
 from offpiste.runtime.plan_maker import Planned
 from offpiste.runtime.prediction import reachable
 from planning_maps import layers
@@ -57,6 +58,19 @@ def test_a_late_stamp_is_not_a_clock_that_went_back(tmp_path, monkeypatch):
         assert len(feed.track._readings) == 4
         assert heard(100.1) == (pytest.approx(100.1), "went back")
         assert len(feed.track._readings) == 1
+
+
+def test_ages_by_the_steady_clock_grow_while_stamps_are_constant():
+    steady, (first, _), (second, _) = SteadyAges(), plan(50.0), plan(50.1)
+
+    def ages(now, state, acting):
+        return list(vars(steady.ages(9.9, state, acting, now)).values())
+
+    still = MapState(50.0, np.inf)
+    assert ages(10.0, still, None) == pytest.approx([0.1, 0.0, -np.inf, -np.inf])
+    assert ages(11.0, still, first) == pytest.approx([1.1, 1.0, -np.inf, 0.0])
+    assert ages(12.0, still, first) == pytest.approx([2.1, 2.0, -np.inf, 1.0])
+    assert ages(12.5, MapState(50.1, 50.0), second) == pytest.approx([2.6, 0.0, 0.0, 0.0])
 
 
 def test_signs_of_life_are_cheap_and_large_messages_are_dropped(tmp_path):

@@ -16,7 +16,7 @@ from offpiste.live.replay import StepDriver
 from offpiste.live.robot_messages import SensorMessages, VehicleMessages
 from offpiste.logs import open_log
 from offpiste.logs.measurements import Cloud
-from offpiste.logs.ros.writer import floats, header, make, vector
+from offpiste.logs.ros.writer import floats, header, make, quaternion, vector
 from offpiste.rig.rig import load_rig, parse_rig, rig_text
 from offpiste.simulation.messages import stamp_ns, vehicle_messages
 from offpiste.transport.message_types import MessageTypes
@@ -55,10 +55,14 @@ def test_readings_are_those_of_the_simulator():
 def test_velocities_that_are_not_measured_come_from_poses():
     parts = RIG.split("[channels.linear_velocity]")
     vehicle = VehicleMessages(parse_rig(parts[0] + "[lidars" + parts[1].split("[lidars")[1], where="test"))
-    readings = [vehicle.take("/odom", odometry(t, 3.0 * t, 99.0), NOW) for t in np.arange(0.0, 0.4, 0.02)]
+    readings = []
+    for t in np.arange(0.0, 0.4, 0.02):
+        message, half = odometry(t, 3.0 * t, 99.0), 0.5 * (3.0 + 0.5 * t)  # the yaw passes pi
+        message.pose.pose.orientation = quaternion((0.0, 0.0, np.sin(half), np.cos(half)))
+        readings.append(vehicle.take("/odom", message, NOW))
     assert readings[0] is None, "the speed is still unknown"
     np.testing.assert_allclose(readings[-1].velocity, (3.0, 0.0, 0.0), atol=1e-6)
-    assert readings[-1].yaw_rate == pytest.approx(0.0, abs=1e-9)
+    assert readings[-1].yaw_rate == pytest.approx(0.5, abs=1e-6)
 
 
 def test_values_that_are_not_finite_are_dropped_and_old_ones_do_not_count():
