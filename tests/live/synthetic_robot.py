@@ -161,12 +161,11 @@ def reading(now, x=0.0, speed=0.0):
 
 
 def plan(start, speed=2.0, gear=1.0):
-    """A plan made 0.1 s before its start, and where it leads: straight ahead from x = 1 m."""
+    """A plan made 0.1 s before its start that leads straight ahead from x = 1 m."""
     states = np.zeros((250, 6))
     states[:, 0], states[:, 3] = 1.0 + speed * 0.02 * np.arange(1, 251), speed
-    return TimedPlan(start, start - 0.1, torch.tensor([[0.4, 0.0, 0.2]]).repeat(250, 1), gear), Prediction(
-        start, states
-    )
+    controls = torch.tensor([[0.4, 0.0, 0.2]]).repeat(250, 1)
+    return TimedPlan(start, start - 0.1, controls, Prediction(start, states), gear)
 
 
 def write_log(path: Path, seconds=3.0, speed=2.0):

@@ -61,7 +61,7 @@ def test_a_late_stamp_is_not_a_clock_that_went_back(tmp_path, monkeypatch):
 
 
 def test_ages_by_the_steady_clock_grow_while_stamps_are_constant():
-    steady, (first, _), (second, _) = SteadyAges(), plan(50.0), plan(50.1)
+    steady, first, second = SteadyAges(), plan(50.0), plan(50.1)
 
     def ages(now, state, acting):
         return list(vars(steady.ages(9.9, state, acting, now)).values())
@@ -111,7 +111,7 @@ def test_the_cropped_map_contains_the_reach_of_plans_at_the_speed_of_the_course(
 
 def planned(now, *_, **__):
     """Plan without a map."""
-    return Planned(*plan(now + 0.2), 0.0)
+    return Planned(plan(now + 0.2), 0.0)
 
 
 @contextmanager

@@ -63,7 +63,7 @@ class Drive:
             self.rings["readings"].write(pack_fields(read, control=None, came=time.monotonic()))
         self.rings["map-state"].write(packed({"scan_time": now, "image_time": np.inf}))
         if plans:
-            self.rings["plans"].write(pack_plan(*plan(now, gear=self.gear), empty=False, stuck=False))
+            self.rings["plans"].write(pack_plan(plan(now, gear=self.gear), empty=False, stuck=False))
 
     def run(self, seconds, **options):
         """Feed and supervise the processes for some time; return their last states."""
@@ -256,7 +256,7 @@ def test_a_plan_lies_on_the_ground_in_the_frame_of_the_poses(tmp_path, network):
         reports = Supervisor(session, transport, ())
         for numbers in ({"frame": "odom"}, {"frame": ""}):
             session.ring("map").write(pack_layers(ground, scan_time=1.0))
-            session.ring("plans").write(pack_plan(*plan(1.0), empty=False, stuck=False))
+            session.ring("plans").write(pack_plan(plan(1.0), empty=False, stuck=False))
             reports.report({"receive": (OK, "ready", numbers)})
     frames = [message.header.frame_id for topic, message in heard if topic in (PLAN, MAP)]
     assert frames == ["odom", "odom", "map", "map"]

@@ -40,7 +40,7 @@ def feed(session, now):
     session.ring("readings").write(pack_fields(reading(now, 1.0), control=None))
     session.ring("course").write(pack_fields(course(speed=4.0)))
     session.ring("map").write(pack_layers(layers(plane=(0.5, 0.0)), scan_time=now - 0.2, image_time=np.inf))
-    session.ring("plans").write(pack_plan(*plan(now), empty=False, stuck=False))
+    session.ring("plans").write(pack_plan(plan(now), empty=False, stuck=False))
     session.ring("commands").write(packed({"time": now, "applied": np.array((0.4, 0.0, -0.2)), "mode": "driving"}))
     session.ring("images").write(pack_fields(Image(now, "front", np.full((4, 6, 3), 7, np.uint8))))
     status = {"state": "stopping: no plan", "tick_p99_ms": 4.0, "map_age_p99_ms": np.nan, "speed_mps": 1.5}

@@ -13,10 +13,11 @@ from offpiste.planning.course import Course
 from offpiste.runtime.backing_out import BackingOut, BackingOutSettings
 from offpiste.runtime.estimator import Given
 from offpiste.runtime.follower import TimedPlan
-from offpiste.runtime.prediction import model_state_after, reachable
+from offpiste.runtime.prediction import Prediction, model_state_after, reachable
 from runtime.stream import Held, parametric, straight_drive
 
 SETTINGS = BackingOutSettings(after=3.0, distance=4.0, longest=6.0, attempts=2)
+STANDING = Prediction(2.0, np.zeros((250, 6)))
 STRAIGHT = Course(np.stack((np.arange(-20.0, 60.0), np.zeros(80)), axis=1), np.full(80, 5.0))
 
 
@@ -276,7 +277,7 @@ def test_a_model_without_a_gear_never_reverses():
 def test_committed_controls_brake_until_the_gear_is_engaged():
     stream = geared_drive().run(2.0)
     follower = stream.runtime.follower
-    follower.schedule.add(TimedPlan(2.0, 2.0, torch.full((250, 3), 0.25), -1.0))
+    follower.schedule.add(TimedPlan(2.0, 2.0, torch.full((250, 3), 0.25), STANDING, -1.0))
     committed = follower.committed(2.0, 2.2, stream.runtime._track.rows(2.0 - DT))
     np.testing.assert_allclose(committed[:, :2], np.tile((0.0, 0.5), (10, 1)))
 

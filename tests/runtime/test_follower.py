@@ -2,6 +2,7 @@
 
 from math import inf
 
+import numpy as np
 import pytest
 import torch
 
@@ -9,6 +10,7 @@ from offpiste.core.conventions import DT
 from offpiste.rig.outputs import Timeouts
 from offpiste.runtime.follower import Schedule, TimedPlan
 from offpiste.runtime.modes import Ages, ModeDecision, decide_mode
+from offpiste.runtime.prediction import Prediction
 
 WELL = Ages(state=0.0, scan=0.1, image=0.5, plan=0.1)
 
@@ -40,7 +42,7 @@ def plan(start, first, steps=5):
     """Throttle counts steps from `first`."""
     controls = torch.zeros(steps, 3)
     controls[:, 0] = first + torch.arange(steps)
-    return TimedPlan(start, start, controls)
+    return TimedPlan(start, start, controls, Prediction(start, np.zeros((steps, 6))))
 
 
 def test_a_later_plan_acts_instead_of_the_earlier_from_its_start_on():

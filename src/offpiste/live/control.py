@@ -18,7 +18,6 @@ from offpiste.logs.ros.writer import make
 from offpiste.runtime.estimator import Given
 from offpiste.runtime.follower import Follower, MapState, TimedPlan
 from offpiste.runtime.modes import Ages, Controls, ModeDecision
-from offpiste.runtime.prediction import Prediction
 from offpiste.transport.received import Received
 
 SILENCE: Final = 0.1
@@ -64,7 +63,6 @@ class Controller:
         self._gate = Gate(rig.live.limits, enable, settings.runtime.stop, before.get("applied"))
         self._course, self._plans = NewestCourse(part), part.reader("plans")
         self._empty = self._stuck = False
-        self._predictions: deque[Prediction] = deque(maxlen=32)
         self._steady, self._since = SteadyAges(), -np.inf
         self._stops, self._sent_at = part.ring("stops").written, np.inf
         self._why = "control was started again" if before else ""
@@ -158,7 +156,7 @@ class Controller:
         controls = follower.follow(now, decision, applied)
         del follower.events[:-1]
         control, moving = self._gate.checked.control, controls.drives and not self._gate.checked.why
-        followed = next((p for p in reversed(self._predictions) if p.time <= now), None) if moving else None
+        followed = acting.prediction if moving and acting is not None else None
         if self._send is not None:
             self._send(Command(now, control, controls.gear, followed))
         self._preview(joy_message(max(round(now * 1e9), 0), control))
@@ -204,13 +202,12 @@ class Controller:
             self._empty, self._stuck = bool(values["empty"]), bool(values["stuck"])
             if "start" not in values:
                 continue
-            timed, prediction = plan_from(values)
+            timed = plan_from(values)
             latest = follower.schedule.latest
             if timed.start > now + settings.latency + settings.timeouts.ahead or timed.made < self._since:
                 self.part.dropped["plans of another time, or from before the pose jumped"] += 1
             elif latest is None or timed.start > latest.start:
                 follower.schedule.add(timed)
-                self._predictions.append(prediction)
 
 
 def control(session: Session) -> None:

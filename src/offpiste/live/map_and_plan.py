@@ -224,7 +224,7 @@ class Plans:
         self._follower.schedule.add(planned.plan)
         self._follower.schedule.acting(now)  # forgets the plans before it
         more = {"empty": False, "stuck": False, "scan_time": self._scan_time}
-        part.write("plans", pack_plan(planned.plan, planned.prediction, **more))
+        part.write("plans", pack_plan(planned.plan, **more))
         return "ready"
 
     def _take_over(self) -> None:

@@ -90,9 +90,8 @@ class StepDriver:
             runtime.follower.driver = self._reception.vehicle.given(now)
         held = "" if self._shadow else self._gate.blocked(now)
         controls = runtime.step(now, applied, held)
-        checked = self._gate.checked
-        moving = controls.drives and not checked.why
-        followed = runtime.prediction_at(now) if moving else None
+        checked, acting = self._gate.checked, runtime.follower.schedule.at(now)
+        followed = acting.prediction if acting is not None and controls.drives and not checked.why else None
         return Step(controls, Command(now, checked.control, controls.gear, followed), checked.why)
 
     def _in_order(self, messages: Iterable[tuple[str, Any]], now: float) -> list[tuple[str, Any]]:

@@ -259,12 +259,12 @@ def layers_from(values: Values) -> TerrainLayers | None:
     return None if values["layers"] is None else TerrainLayers(**values["layers"])
 
 
-def pack_plan(plan: TimedPlan, prediction: Prediction, **more: Any) -> bytes:
-    """Serialise a plan, its prediction, and further values."""
-    return pack_fields(plan, **{"controls": plan.controls.numpy(), "states": prediction.state} | more)
+def pack_plan(plan: TimedPlan, **more: Any) -> bytes:
+    """Serialise a plan, and further values."""
+    return pack_fields(plan, **{"controls": plan.controls.numpy()} | more)
 
 
-def plan_from(values: Values) -> tuple[TimedPlan, Prediction]:
-    """Restore a plan and its prediction."""
-    plan = TimedPlan(values["start"], values["made"], torch.from_numpy(values["controls"]), values["gear"])
-    return plan, Prediction(values["start"], values["states"])
+def plan_from(values: Values) -> TimedPlan:
+    """Restore a plan."""
+    controls, prediction = torch.from_numpy(values["controls"]), Prediction(**values["prediction"])
+    return from_fields(TimedPlan, {**values, "controls": controls, "prediction": prediction})

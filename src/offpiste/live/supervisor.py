@@ -145,8 +145,8 @@ class Supervisor:
             if self._layers is not None:
                 self._publish_map(map_message(self._layers, round(values["scan_time"] * 1e9), frame))
         if (values := self._plans.newest()) is not None and "start" in values:
-            timed, prediction = plan_from(values)
-            self._publish_plan(plan_message(prediction, round(timed.start * 1e9), frame, self._layers))
+            prediction = plan_from(values).prediction
+            self._publish_plan(plan_message(prediction, round(prediction.time * 1e9), frame, self._layers))
 
     def say(self, parts: States) -> None:
         """Log changed states."""

@@ -17,7 +17,6 @@ from offpiste.logs.measurements import Image
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.planning.course import Course
 from offpiste.runtime.estimator import VehicleReading
-from offpiste.runtime.follower import TimedPlan
 from offpiste.runtime.prediction import Prediction
 from offpiste.visualization.map_figure import STEEP, TALL
 
@@ -70,7 +69,7 @@ class Showing:
         if self._course is not None and (mapped or course):
             self._viewer.line("course", now, self._line(self._course.driven, (255, 255, 255), 0.12))
         if (values := self._newest("plans")) is not None and "start" in values:
-            self._show_plan(*plan_from(values))
+            self._show_plan(plan_from(values).prediction)
         if self._is_due("images"):
             images = (from_fields(Image, values) for values in self._readers["images"].new())
             for image in {image.camera: image for image in images}.values():
@@ -94,11 +93,11 @@ class Showing:
         self._due[name] = time.monotonic() + PERIODS[name]
         return values
 
-    def _show_plan(self, plan: TimedPlan, prediction: Prediction) -> None:
+    def _show_plan(self, prediction: Prediction) -> None:
         states = prediction.state[::_EVERY]
         speed = np.hypot(states[:, 3], states[:, 4])
         colours = (255 * colormaps["plasma"](np.clip(speed / _FASTEST, 0, 1))[:, :3]).astype(np.uint8)
-        self._viewer.line("plan", plan.start, self._line(states[:, :2], colours, 0.16))
+        self._viewer.line("plan", prediction.time, self._line(states[:, :2], colours, 0.16))
 
     def _line(self, xy: Float[np.ndarray, "P 2"], colour: Any, width: float) -> Line:
         """Return a line above the ground; where that is unknown, above the vehicle's height."""

@@ -16,6 +16,7 @@ from offpiste.planning.course import CourseTracker
 from offpiste.planning.mppi import shift
 from offpiste.runtime.estimator import Given, TrackRows, VehicleTrack
 from offpiste.runtime.modes import NO_AGES, Ages, Controls, Event, ModeDecision, decide_mode
+from offpiste.runtime.prediction import Prediction
 from offpiste.runtime.settings import RuntimeSettings
 
 Applied = Callable[[Controls], Float[np.ndarray, " 3"]]
@@ -24,11 +25,12 @@ Applied = Callable[[Controls], Float[np.ndarray, " 3"]]
 
 @dataclass(frozen=True)
 class TimedPlan:
-    """A plan and its time."""
+    """A plan, its time, and where it leads."""
 
     start: float  # time of its first control [s]
     made: float  # time at which it was made [s]
     controls: Float[Tensor, "T 3"]  # at steps of `conventions.DT`
+    prediction: Prediction
     gear: float = 1.0  # 1 forward, -1 reverse
 
     def at(self, time: float) -> Float[np.ndarray, " 3"]:

@@ -44,10 +44,9 @@ FRESH: Final = 0.5
 
 
 class Planned(NamedTuple):
-    """A plan, its predicted trajectory, and its cost."""
+    """A plan and its cost."""
 
     plan: TimedPlan
-    prediction: Prediction
     cost: float
 
 
@@ -227,7 +226,7 @@ class PlanMaker:
             return None
         controls = controls_of(plan.controls)
         states = predicted(model, model_state, controls, area, at, settings.weights)
-        return Planned(TimedPlan(start, now, controls, at.gear), Prediction(start, states), plan.cost)
+        return Planned(TimedPlan(start, now, controls, Prediction(start, states), at.gear), plan.cost)
 
     def _cheapest(self, ways: Sequence[Way], plans: Sequence[Planned | None]) -> Planned | None:
         """Return the cheapest plan; the last way is kept unless another is cheaper by more than the temperature."""

@@ -91,10 +91,6 @@ class Runtime:
         """Predictions of the last plans, oldest first."""
         return list(self._predictions)
 
-    def prediction_at(self, time: float) -> Prediction | None:
-        """Return the prediction of the plan that acts at a time [s]; None before the first plan."""
-        return next((p for p in reversed(self._predictions) if p.time <= time + 1e-6), None)
-
     def vehicle(self, reading: VehicleReading) -> None:
         """Add a reading of the vehicle; unusable readings are dropped and counted (`dropped`)."""
         taken = self._intake.vehicle(reading)
@@ -154,7 +150,7 @@ class Runtime:
             planned = self._maker.plan(now, layers, self.follower, rows, latest.time, slow=decision.slow)
         if planned is not None:
             self.follower.schedule.add(planned.plan)
-            self._predictions.append(planned.prediction)
+            self._predictions.append(planned.plan.prediction)
 
     def _mode(self, now: float) -> ModeDecision:
         state = replace(self._mapper.state, empty=self._maker.map_empty, stuck=self._maker.stuck)
