@@ -192,7 +192,7 @@ class VehicleMessages:
             return None
         times, values = (np.array(column) for column in zip(*samples, strict=True))
         if channel in ("yaw", "orientation"):
-            values = np.unwrap(values[:, 0] if channel == "yaw" else yaw_from_quaternion(values))[:, None]
+            values = np.unwrap(values, axis=0) if channel == "yaw" else yaw_from_quaternion(values)[:, None]
         _, rate = local_polynomial(times, values, np.array([time]), window=window, causal=True)
         return rate[0] if np.isfinite(rate).all() else None
 
