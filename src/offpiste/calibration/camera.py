@@ -1,10 +1,9 @@
 """Estimates of a camera's mounting and delay from features matched in pairs of its images, and poses.
 
-Features (SIFT, Lowe 2004) do not depend on the mounting. Without a LiDAR, the second direction of a feature must lie in
-the epipolar plane of the first: translation determines two axes (the direction of travel in the image), rotation the
-third. All rotations within 45 degrees of a guess are tried, and a robust fit refines the best. With a LiDAR, the first
-direction meets a surface of the nearest scan, whose place the second image must show in the second direction. This also
-determines the camera's position.
+Features (SIFT, Lowe 2004) do not depend on the mounting. The second direction of a feature must lie in the epipolar
+plane of the first: translation determines two axes (the direction of travel in the image), rotation the third. Where
+the first direction meets a surface in a scan of a LiDAR, the second one must show the same place, which also determines
+the position. From a rough guess, all rotations within 45 degrees are tried, and robust fits refine the best ones.
 """
 
 from collections.abc import Sequence
@@ -13,7 +12,7 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -61,6 +60,7 @@ _BESIDE: Final = np.deg2rad(2.0)
 """Maximum angle between a feature and the scan point that gives its surface [rad]."""
 _FURTHEST: Final = 40.0
 """Maximum distance of a surface [m]."""
+_NOWHERE: Final = np.zeros((0, 3))
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def check_camera(
     *,
     prior: Parameters = PRIOR,
 ) -> Misfit | None:
-    """Estimate the errors of a camera's mounting and stamps from surfaces; None with too few usable images.
+    """Estimate the errors of a camera's mounting and stamps; None with too few images near scans.
 
     Args:
         lidar, scans: source of the surfaces.
@@ -137,38 +137,29 @@ def check_camera(
 
     def compare(now: Parameters) -> list[Pair]:
         mounting = camera.camera.body_from_camera
-        return [_on_surfaces(one, mounting, world, tree, poses, now) for one, world, tree in couples]
+        return [_compared(one, mounting, poses, now, world, tree) for one, world, tree in couples]
 
     return fit_misfit(compare, prior=prior, rounds=20)  # from a place metres off, it takes about ten
 
 
-def _on_surfaces(
+def _compared(
     matches: Matches,
     body_from_camera: Float[np.ndarray, "4 4"],
-    world: Float[np.ndarray, "n 3"],
-    tree: cKDTree,
     poses: Poses,
     now: Parameters,
+    world: Float[np.ndarray, "n 3"] = _NOWHERE,
+    tree: cKDTree | None = None,
 ) -> Pair:
-    """Return the distances of second directions from the places where first ones meet a surface, x and y [rad]."""
+    """Return angles from epipolar planes, and distances from the places where first directions meet surfaces [rad].
+
+    Args:
+        world: points of a scan, with their tree.
+    """
 
     def cameras(parameters: Parameters) -> np.ndarray:
         return poses.at(np.array(matches.times) - parameters[3]) @ turned(body_from_camera, parameters)
 
-    first = cameras(now)[0]
-    seen = transformed(world, inverse(first)) if np.isfinite(first).all() else world[:0]
-    distance = np.linalg.norm(seen, axis=1)
-    usable = np.flatnonzero((seen[:, 2] > 0) & (distance > 0.3) & (distance < _FURTHEST))
-    if len(usable) < 100:
-        return Pair(np.zeros(0), np.zeros((0, len(now))))
-    near, index = cKDTree(seen[usable] / distance[usable, None]).query(matches.one, k=3, distance_upper_bound=_BESIDE)
-    # Of points side by side, the nearest hides the others.
-    depth = np.where(np.isfinite(near), distance[usable][np.minimum(index, len(usable) - 1)], np.inf)
-    closest = index[np.arange(len(index)), depth.argmin(axis=1)]
-    rows = np.flatnonzero(closest < len(usable))
-    at = world[usable[closest[rows]]]
-    normal, flat = planes(world, tree, at)
-    rows, at, normal = rows[flat], at[flat], normal[flat]
+    rows, at, normal = _surfaces(matches.one, cameras(now)[0], world, tree)
     one, other = matches.one[rows], matches.other[rows, :2] / matches.other[rows, 2:]
 
     def residual(parameters: Parameters) -> np.ndarray:
@@ -177,9 +168,32 @@ def _on_surfaces(
         with np.errstate(divide="ignore", invalid="ignore"):
             far = np.einsum("ni,ni->n", normal, at - origin) / np.einsum("ni,ni->n", normal, rays)
             places = transformed(origin + np.where(far > 0, far, np.nan)[:, None] * rays, inverse(there))
-            return (places[:, :2] / np.where(places[:, 2:] > 0.1, places[:, 2:], np.nan) - other).ravel()
+            away = (places[:, :2] / np.where(places[:, 2:] > 0.1, places[:, 2:], np.nan) - other).ravel()
+        return np.concatenate((epipolar_angles(matches, body_from_camera, poses, parameters), away))
 
     return differentiated(residual, now)
+
+
+def _surfaces(
+    rays: Float[np.ndarray, "n 3"],
+    world_from_camera: Float[np.ndarray, "4 4"],
+    world: Float[np.ndarray, "m 3"],
+    tree: cKDTree | None,
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
+    """Return the rays that meet a planar surface of a scan, a point of each surface and its normal."""
+    seen = transformed(world, inverse(world_from_camera)) if np.isfinite(world_from_camera).all() else _NOWHERE
+    distance = np.linalg.norm(seen, axis=1)
+    usable = np.flatnonzero((seen[:, 2] > 0) & (distance > 0.3) & (distance < _FURTHEST))
+    if tree is None or len(usable) < 100:
+        return np.zeros(0, np.int64), _NOWHERE, _NOWHERE
+    near, index = cKDTree(seen[usable] / distance[usable, None]).query(rays, k=3, distance_upper_bound=_BESIDE)
+    # Of points side by side, the nearest hides the others.
+    depth = np.where(np.isfinite(near), distance[usable][np.minimum(index, len(usable) - 1)], np.inf)
+    closest = index[np.arange(len(index)), depth.argmin(axis=1)]
+    rows = np.flatnonzero(closest < len(usable))
+    at = world[usable[closest[rows]]]
+    normal, flat = planes(world, tree, at)
+    return rows[flat], at[flat], normal[flat]
 
 
 def epipolar_angles(
@@ -260,7 +274,7 @@ def estimate_rotation(
         mounting = turned(guess, start)
 
         def compare(now: Parameters, at: np.ndarray = mounting) -> list[Pair]:
-            return [_off_lines(one, at, poses, now) for one in moving]
+            return [_compared(one, at, poses, now) for one in moving]
 
         misfit = fit_misfit(compare, prior=_PRIOR, rounds=10)
         if misfit is not None:
@@ -274,10 +288,6 @@ def median_angle(matches: Sequence[Matches], mounting: Float[np.ndarray, "4 4"],
     """Return the median angle of matches from their epipolar planes [rad]; NaN without matches."""
     angles = [epipolar_angles(one, mounting, poses, np.zeros(4)) for one in matches]
     return float(np.nanmedian(np.abs(np.concatenate(angles)))) if angles else np.nan
-
-
-def _off_lines(matches: Matches, mounting: Float[np.ndarray, "4 4"], poses: Poses, now: Parameters) -> Pair:
-    return differentiated(lambda parameters: epipolar_angles(matches, mounting, poses, parameters), now)
 
 
 def _cost(matches: Sequence[Matches], mounting: Float[np.ndarray, "4 4"], poses: Poses, late: float) -> float:

@@ -191,7 +191,7 @@ def _apart(one: CheckedSensor, misfit: Misfit) -> Finding:
 def _unseen(one: CheckedSensor) -> Finding:
     evidence = "too few scans"
     if isinstance(one.sensor, Camera):
-        evidence = "too few features of its images lie on surfaces that a LiDAR sees"
+        evidence = "too few features are shared by images taken near scans of a LiDAR"
     remedy = "nothing if it is at a standstill or sees little; else check the mounting, which may be far off, and"
     remedy += " [frames] body"
     return Finding("note", one.sensor.name, "could not be checked against the poses", evidence, remedy)
