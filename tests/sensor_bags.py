@@ -43,16 +43,25 @@ def sensor_rig_text(sensors: str = SENSORS) -> str:
 
 def odometry(seconds: float, aside: float = 0.0, *, x: float | None = None, speed: float = SPEED, height: float = 1.0):
     """Return odometry of a drive along x, by default from the origin."""
-    place = vector((speed * seconds if x is None else x, aside, height), "geometry_msgs/Point")
-    pose = make("geometry_msgs/Pose", position=place, orientation=quaternion((0, 0, 0, 1)))
-    twist = make("geometry_msgs/Twist", linear=vector((speed, 0, 0)), angular=vector((0, 0, 0)))
+    place = speed * seconds if x is None else x, aside, height
+    return odometry_of(header(stamp(seconds), "map"), place, (0, 0, 0, 1), (speed, 0, 0))
+
+
+def odometry_of(head, place, turn, linear=(0, 0, 0), angular=(0, 0, 0), child: str = "base_link"):
+    """Return odometry with a header, a position, a quaternion, and velocities."""
+    pose = make("geometry_msgs/Pose", position=vector(place, "geometry_msgs/Point"), orientation=quaternion(turn))
     return make(
         "nav_msgs/Odometry",
-        header=header(stamp(seconds), "map"),
-        child_frame_id="base_link",
+        header=head,
+        child_frame_id=child,
         pose=make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
-        twist=make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+        twist=make("geometry_msgs/TwistWithCovariance", twist=twist_of(linear, angular), covariance=np.zeros(36)),
     )
+
+
+def twist_of(linear, angular):
+    """Return a geometry_msgs/Twist."""
+    return make("geometry_msgs/Twist", linear=vector(linear), angular=vector(angular))
 
 
 def stamp(seconds: float) -> int:

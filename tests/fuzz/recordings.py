@@ -14,7 +14,8 @@ from rosbags.convert.converter import convert
 from rosbags.typesys import Stores, get_typestore
 
 from factories import RIG
-from offpiste.logs.ros.writer import McapWriter, header, make, quaternion, vector
+from offpiste.logs.ros.writer import McapWriter, header, make
+from sensor_bags import odometry_of, twist_of
 from tests.fuzz.mutations import Generator, mutate_values
 
 RATE = 25.0
@@ -104,27 +105,11 @@ def write_bag(recording: Recording, path: Path, storage: str = "") -> None:
         convert([log], path, storage, 9, None, "", None, target, [], [], [], [])
 
 
-def _odometry(head: object, values: np.ndarray) -> object:
-    position, turn = vector(values[:3], "geometry_msgs/Point"), quaternion(values[3:])
-    pose = make("geometry_msgs/Pose", position=position, orientation=turn)
-    return make(
-        "nav_msgs/Odometry",
-        header=head,
-        child_frame_id="base_link",
-        pose=make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
-        twist=make("geometry_msgs/TwistWithCovariance", twist=_twist(np.zeros(3)), covariance=np.zeros(36)),
-    )
+def _command(head: object, values: np.ndarray) -> object:
+    return make("geometry_msgs/TwistStamped", header=head, twist=twist_of((*values[:2], 0), (0, 0, values[2])))
 
 
-def _twist(values: np.ndarray) -> object:
-    linear, angular = vector((*values[:2], 0)), vector((0, 0, values[2]))
-    return make("geometry_msgs/Twist", linear=linear, angular=angular)
-
-
-MESSAGES = {
-    "odom": _odometry,
-    "commands": lambda head, values: make("geometry_msgs/TwistStamped", header=head, twist=_twist(values)),
-}
+MESSAGES = {"odom": lambda head, values: odometry_of(head, values[:3], values[3:]), "commands": _command}
 write_ros1, write_mcap, write_db3 = write_bag, partial(write_bag, storage="mcap"), partial(write_bag, storage="sqlite3")
 
 

@@ -13,11 +13,11 @@ from offpiste.dataset.log_findings import UnusableLog, refuse_unusable
 from offpiste.inspection.extract import findings_on
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs import open_log
-from offpiste.logs.ros.writer import McapWriter, header, make, quaternion, vector
+from offpiste.logs.ros.writer import McapWriter, header, make, vector
 from offpiste.logs.sensor_log import open_sensors
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import parse_rig
-from sensor_bags import cloud, record, sensor_rig, transforms
+from sensor_bags import cloud, odometry_of, record, sensor_rig, transforms
 
 POSE = {
     "position": [f"pose.pose.position.{axis}" for axis in "xyz"],
@@ -42,17 +42,7 @@ def rig(frame):
 
 
 def odometry(stamp, row, child):
-    v, w = vector(row[7:10]), vector(row[10:13])
-    x, q = vector(row[:3], "geometry_msgs/Point"), quaternion(row[3:7])
-    pose, twist = (
-        make("geometry_msgs/Pose", position=x, orientation=q),
-        make("geometry_msgs/Twist", linear=v, angular=w),
-    )
-    pose = make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
-    twist = make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36))
-    return make(
-        "nav_msgs/Odometry", header=header(round(stamp * 1e9), "odom"), child_frame_id=child, pose=pose, twist=twist
-    )
+    return odometry_of(header(round(stamp * 1e9), "odom"), row[:3], row[3:7], row[7:10], row[10:13], child)
 
 
 def command(stamp, values, frame):
