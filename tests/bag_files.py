@@ -6,6 +6,7 @@ from pathlib import Path
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags import rosbag1, rosbag2
+from rosbags.convert.converter import convert
 from rosbags.rosbag2.enums import CompressionFormat, StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -49,6 +50,15 @@ def ros2_folder(path: Path, storage: StoragePlugin, messages: Sequence[object], 
         for i, message in enumerate(messages):
             writer.write(connection, (START + i) * 10**9, ROS2.serialize_cdr(message, TWIST))
     return path
+
+
+def converted(log: Path, target: Path, storage: str = "") -> Path:
+    """Convert a bag to a ROS 1 bag, or to the folder of a ROS 2 bag with this storage."""
+    store = get_typestore(Stores.ROS2_HUMBLE if storage else Stores.ROS1_NOETIC)
+    if not storage:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+    convert([log], target, storage, 9, None, "", None, store, [], [], [], [])
+    return target
 
 
 def twists(count: int) -> list[object]:

@@ -10,9 +10,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
-from rosbags.convert.converter import convert
-from rosbags.typesys import Stores, get_typestore
 
+from bag_files import converted
 from factories import RIG
 from offpiste.logs.ros.writer import McapWriter, header, make
 from sensor_bags import odometry_of, twist_of
@@ -101,8 +100,7 @@ def write_bag(recording: Recording, path: Path, storage: str = "") -> None:
                 stamp = float(np.clip(np.nan_to_num(recording[topic].time[number]), 0, 2**31 - 1))
                 message = MESSAGES[topic](header(int(stamp * 1e9), "map"), recording[topic].values[number])
                 writer.write(f"/{topic}", message, int(arrival * 1e9))
-        target = get_typestore(Stores.ROS2_HUMBLE if storage else Stores.ROS1_NOETIC)
-        convert([log], path, storage, 9, None, "", None, target, [], [], [], [])
+        converted(log, path, storage)
 
 
 def _command(head: object, values: np.ndarray) -> object:

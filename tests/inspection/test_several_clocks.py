@@ -4,10 +4,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from rosbags import rosbag1
 from simulated import RIG, START, drive_log
 
-from bag_files import ROS1
+from bag_files import converted
 from offpiste.core.errors import LogError
 from offpiste.dataset.log_findings import UnusableLog, refuse_unusable
 from offpiste.inspection.extract import findings_on
@@ -50,12 +49,6 @@ def command(stamp, values, frame):
     return make("geometry_msgs/Vector3Stamped", **headed) if frame else vector(values)
 
 
-def in_ros1(message):
-    kind = getattr(message, "__msgtype__", "")
-    fields = {name: in_ros1(value) for name, value in vars(message).items() if name != "__msgtype__"} if kind else {}
-    return ROS1.types[kind](**fields, **({"seq": 0} if kind.endswith("/Header") else {})) if kind else message
-
-
 @cache
 def driven():
     data = drive_log(seconds=40.0).data
@@ -79,17 +72,11 @@ def write(path, pose=same, command_clock=same, recorder=same, frame="joy", secon
     others = stamps + 0.007 if second_command is not None else ()
     sent += [(t + 4e-3, "/command", command(command_clock(t), (0, 0, 0), second_command)) for t in others]
     arrived = [(round(recorder(t) * 1e9), topic, message) for t, topic, message in sorted(sent, key=lambda one: one[0])]
-    if path.suffix == ".mcap":
-        with McapWriter(path) as writer:
-            for t, topic, message in arrived:
-                writer.write(topic, message, t)
-        return path
-    with rosbag1.Writer(path) as bag:
-        kinds = {topic: message.__msgtype__ for _, topic, message in arrived}
-        connections = {topic: bag.add_connection(topic, kind, typestore=ROS1) for topic, kind in kinds.items()}
+    log = path.with_suffix(".mcap")
+    with McapWriter(log) as writer:
         for t, topic, message in arrived:
-            bag.write(connections[topic], t, ROS1.serialize_ros1(in_ros1(message), kinds[topic]))
-    return path
+            writer.write(topic, message, t)
+    return log if path == log else converted(log, path)
 
 
 def back(time):

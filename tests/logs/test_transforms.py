@@ -4,15 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags import rosbag1
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from bag_files import converted
 from offpiste.core.errors import LogError
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.ros.writer import McapWriter
 from offpiste.logs.transforms import STAMPED_FIELDS, frame_pair, listed
-from sensor_bags import SECOND, stamp, transforms
+from sensor_bags import stamp, transforms
 
 STILL = (0, 0, 0, 1)
 BODY = "/tf odom -> base_link"
@@ -62,23 +61,11 @@ def test_a_body_that_comes_late_is_found(tmp_path: Path) -> None:
 
 def test_frames_of_ros_1_have_a_slash(tmp_path: Path) -> None:
     """And two robots have two bodies."""
-    store, kind = get_typestore(Stores.ROS1_NOETIC), "tf2_msgs/msg/TFMessage"
-    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
-    types = store.types
-    with rosbag1.Writer(tmp_path / "log.bag") as writer:
-        connection = writer.add_connection("/tf", kind, typestore=store)
-        for k in range(5):
-            sent = []
-            for robot, x in (("a", 1.0), ("b", 2.0)):
-                time = types["builtin_interfaces/msg/Time"](sec=100 + k, nanosec=0)
-                head = types["std_msgs/msg/Header"](seq=k, stamp=time, frame_id=f"/{robot}/odom")
-                place = types["geometry_msgs/msg/Vector3"](x=x * k, y=0.0, z=0.0)
-                turn = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
-                put = types["geometry_msgs/msg/Transform"](translation=place, rotation=turn)
-                stamped = types["geometry_msgs/msg/TransformStamped"]
-                sent.append(stamped(header=head, child_frame_id=f"/{robot}/base_link", transform=put))
-            writer.write(connection, (100 + k) * SECOND, store.serialize_ros1(types[kind](transforms=sent), kind))
-    log = BagLog(tmp_path / "log.bag")
+    messages = []
+    for k in range(5):
+        places = ((f"/{robot}/odom", f"/{robot}/base_link", (x * k, 0, 0), STILL) for robot, x in (("a", 1), ("b", 2)))
+        messages.append((float(k), "/tf", transforms(*places, seconds=float(k))))
+    log = BagLog(converted(recorded(tmp_path / "log.mcap", messages).path, tmp_path / "log.bag"))
     assert [one for one in log.topics if "->" in one] == ["/tf a/odom -> a/base_link", "/tf b/odom -> b/base_link"]
     read = log.read("/tf b/odom -> b/base_link", ["transform.translation.x"])
     assert read.values[:, 0].tolist() == [0, 2, 4, 6, 8]
