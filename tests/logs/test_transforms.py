@@ -9,9 +9,9 @@ from bag_files import converted
 from offpiste.core.errors import LogError
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.logs.formats.bag import BagLog
-from offpiste.logs.ros.writer import McapWriter
 from offpiste.logs.transforms import STAMPED_FIELDS, frame_pair, listed
-from sensor_bags import stamp, transforms
+from sensor_bags import transforms
+from sensor_drive import written
 
 STILL = (0, 0, 0, 1)
 BODY = "/tf odom -> base_link"
@@ -24,10 +24,7 @@ def robot(seconds: float):
 
 
 def recorded(path: Path, messages) -> BagLog:
-    with McapWriter(path) as writer:
-        for seconds, topic, message in messages:
-            writer.write(topic, message, stamp(seconds))
-    return BagLog(path)
+    return BagLog(written(path, messages))
 
 
 def test_a_body_has_a_topic_of_its_own(tmp_path: Path) -> None:
