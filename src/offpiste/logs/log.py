@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 
 from offpiste.core.errors import LogError, SeveralLogs, TooLarge, did_you_mean
+from offpiste.core.limits import packaged_table
 from offpiste.core.object_store import refuse_url
 from offpiste.core.registry import Registry
 from offpiste.logs.transforms import Transform, listed
@@ -31,14 +32,7 @@ JOINT_ARRAYS: Final = {"position": "", "velocity": "_vel", "effort": "_effort"}
 
 _LISTED = 5
 """Largest number of logs of a folder in a message."""
-_EXPORTED_BY = {
-    ".ulg": "ulog2csv (pyulog), and give the folder of its tables",
-    ".bin": "ArduPilot's mavlogdump.py (pymavlink) as CSV",
-    ".mf4": "asammdf as CSV or Parquet",
-    ".blf": "python-can and the DBC as CSV",
-    ".h5": "pandas as Parquet",
-    ".mat": "scipy.io.loadmat and pandas as Parquet",
-}
+_EXPORTED_BY: Final = packaged_table("offpiste.logs.formats", "tables.toml")["exporters"]
 """Exporters of unsupported formats, by file extension."""
 
 
