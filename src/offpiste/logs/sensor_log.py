@@ -195,7 +195,7 @@ class SensorLog:
         frame = ""
         for measured in raw:
             frame = frame or measured.frame
-            if measured.frame != frame:
+            if measured.frame not in ("", frame):
                 what = f"'{name}': its topic has several senders, of frames '{frame}' and '{measured.frame}'"
                 raise LogError(what, where=self.path, how="give each a topic of its own, and record it again")
             self._read[name] += 1
