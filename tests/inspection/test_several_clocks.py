@@ -137,8 +137,9 @@ def test_two_lidars_on_one_topic_are_not_mixed(tmp_path):
     for k in range(20):
         messages.append((0.05 * k, "/points", cloud(0.05 * k)))
         messages[-1][2].header.frame_id = "lr"[k % 2]
-    sensors = open_sensors(
-        open_log(record(tmp_path / "drive.mcap", messages)), sensor_rig('[lidars.top]\ntopic = "/points"\n')
-    )
+    log, lidar = open_log(record(tmp_path / "drive.mcap", messages)), '[lidars.top]\ntopic = "/points"\n'
+    with pytest.raises(LogError, match="'/points' has several senders, of frames 'l', 'r'; give each"):
+        open_sensors(log, sensor_rig(lidar))
+    sensors = open_sensors(log, sensor_rig(lidar + 'frame = "l"\n'))
     with pytest.raises(LogError, match=r"'top': its topic has several senders, of frames 'l' and 'r'; give each"):
         list(sensors.stream())

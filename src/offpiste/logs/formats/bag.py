@@ -51,6 +51,8 @@ _CALIBRATIONS: Final = ("sensor_msgs/msg/CameraInfo",)
 _OVERLAP: Final = 10**9
 """Largest overlap between pieces of a recording [ns]."""
 _JOINTS: Final = "sensor_msgs/msg/JointState"
+_TURNS: Final = 4
+"""Number of messages of a sensor within which several senders take turns."""
 _FIRST: Final = 100
 """Number of messages of a topic that give the names of its joints, or the lengths of its sequences."""
 
@@ -238,11 +240,14 @@ class BagLog(Log):
         return model_from_message(first[1], topic, rectified=rectified)
 
     def frame(self, topic: str) -> str:
-        """Return the frame in the first message's header."""
-        _, message = next(self.messages(topic), (0.0, None))
-        if message is None:
+        """Return the frame in the first message's header; refuse another one in the next few."""
+        frames = list(dict.fromkeys(frame_of(message) for _, message in islice(self.messages(topic), _TURNS)))
+        if not frames:
             raise LogError(f"topic '{topic}' is empty", where=self.path, how="remove the sensor from the rig")
-        return frame_of(message)
+        if len(frames) > 1:
+            what = f"topic '{topic}' has several senders, of frames {', '.join(map(repr, frames))}"
+            raise LogError(what, where=self.path, how="give each a topic of its own, and record it again")
+        return frames[0]
 
     def images(self, topic: str, *, stamps: str = "header", times: Times | None = None) -> Iterator[RawImage]:
         """Yield images of sensor_msgs/CompressedImage and Image; some `times` by the file's index."""
