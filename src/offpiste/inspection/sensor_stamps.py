@@ -7,7 +7,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from offpiste.inspection.clocks import ORIGINS
+from offpiste.inspection.clocks import APART, DRIFT, ORIGINS
 from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.stamps import check_spans, check_stamps
@@ -25,10 +25,6 @@ Source = CameraSource | LidarSource | ChannelSource
 
 _PAUSE: Final = 1.0
 """Minimum gap of a sensor [s]; images are infrequent and not interpolated."""
-_DRIFT: Final = 0.1
-"""Minimum drift of a clock relative to the pose's clock within a log [s]."""
-_APART: Final = 0.5
-"""Minimum offset that indicates another clock [s]; sending takes less."""
 _STAMPS: Final = 50
 """Minimum number of messages for detecting a drift."""
 _SCANS: Final = 5
@@ -50,7 +46,9 @@ def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
     pose = _recorded(log, place, rig)
     recorded = {source.topic: _recorded(log, source, rig) for source in sources.values()}
     several = {topic: r for topic, r in recorded.items() if len(r.time) > 2}
-    findings = [f for f in check_stamps(several, clock, used=set(several)) if not _is_of_channels(f)]
+    # The unit and the longest gap of a clock are those of channels, and do not apply to images.
+    of_channels = {"clock.unit", "clock.max_gap"}
+    findings = [f for f in check_stamps(several, clock, used=set(several)) if not of_channels & _edited(f)]
     result = [_in_words(finding) for finding in findings]
     unordered = {finding.where for finding in findings if finding.severity == "fatal"}
     named = {source.topic: key for key, source in sources.items() if source.topic not in unordered}
@@ -68,18 +66,20 @@ def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
     return result + clocks
 
 
-def _is_of_channels(finding: Finding) -> bool:
-    """Return whether a finding is about the sample rate of channels, which does not apply to images."""
-    return any(edit.key in ("clock.unit", "clock.max_gap") for cure in finding.cures for edit in cure)
+def _edited(finding: Finding) -> set[str]:
+    """Return the entries of the rig that fixes of a finding edit."""
+    return {edit.key for cure in finding.cures for edit in cure}
 
 
 def _in_words(finding: Finding) -> Finding:
     """Return a finding on a sensor's stamp order, with the effect on its messages as remedy instead of a fix."""
-    remedy = "nothing where the rest is enough: messages whose stamps repeat or go back are dropped on reading"
-    if any(edit.key == "clock.stamps" for cure in finding.cures for edit in cure):
-        remedy += '; or clock.stamps = "receive", by which all topics are read then'
     severity: Severity = "note" if finding.severity == "note" else "warning"
-    return replace(finding, severity=severity, remedy=remedy if finding.cures else finding.remedy, cures=())
+    if not finding.cures:
+        return replace(finding, severity=severity)
+    remedy = "nothing where the rest is enough: messages whose stamps repeat or go back are dropped on reading"
+    if "clock.stamps" in _edited(finding):
+        remedy += '; or clock.stamps = "receive", by which all topics are read then'
+    return replace(finding, severity=severity, remedy=remedy, cures=())
 
 
 def untimed_points(sensors: SensorLog) -> dict[str, str]:
@@ -130,11 +130,11 @@ def _clock(key: str, source: Source, sensor: Recorded, pose: Recorded, rig: Rig)
     if result is None or abs(result.offset) > ORIGINS:
         return []
     offset, drift = result
-    if abs(drift) > _DRIFT and min(len(sensor.time), len(pose.time)) >= _STAMPS:
+    if abs(drift) > DRIFT and min(len(sensor.time), len(pose.time)) >= _STAMPS:
         what, score = "its clock drifts", min(1.0, abs(drift))
         evidence = f"from start to end, arrival moves by {drift:+.2f} s against the header's stamp, compared with the"
         remedy = 'synchronise its clock; or clock.stamps = "receive"'
-    elif abs(offset) > _APART:
+    elif abs(offset) > APART:
         what, score = "its header's clock is apart from the pose's", 0.6
         evidence = f"its messages arrive {abs(offset):.2f} s {'later' if offset > 0 else 'earlier'} after it than the"
         remedy = f"{Edit(f'{key}.delay', round(source.delay - offset, 2))}, unless it is sent late; or "
