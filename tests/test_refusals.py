@@ -187,10 +187,10 @@ def test_a_fault_of_a_dataset(
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        ("--model cf --codes 100000", "--codes is 100000; give a number from 1 to 256"),
+        ("--model cf --codes 100000", "invalid --codes 100000; give a number from 1 to 256"),
         ("--model cf --pca 6", "reads 6 terrain features; the dataset has 5"),
-        ("--model cf --learning-rate nan", "--learning-rate is nan; give a number above 0"),
-        ("--batch 5000", "fewer than a batch of 5000"),
+        ("--model cf --learning-rate nan", "invalid --learning-rate nan; give a number above 0"),
+        ("--batch 5000", "fewer than a batch (5000)"),
     ],
 )
 def test_settings_out_of_range(
@@ -203,12 +203,12 @@ def test_settings_out_of_range(
 @pytest.mark.parametrize(
     ("settings", "why"),
     [
-        ({"codes": 0}, "--codes is 0; give a number from 1 to 256"),
-        ({"pca": -1}, "--pca is -1; give 0 or more"),
-        *(({name: 0}, f"--{name} is 0") for name in ("batch", "stride", "epochs")),
-        ({"seed": -1}, "--seed is -1"),
-        ({"weights": Weights(yaw=-1.0)}, "weights of the loss"),
-        ({"weights": Weights(0.0, 0.0, 0.0, 0.0, 0.0)}, "weights of the loss"),
+        ({"codes": 0}, "invalid --codes 0; give a number from 1 to 256"),
+        ({"pca": -1}, "invalid --pca -1; give 0 or more"),
+        *(({name: 0}, f"invalid --{name} 0") for name in ("batch", "stride", "epochs")),
+        ({"seed": -1}, "invalid --seed -1"),
+        ({"weights": Weights(yaw=-1.0)}, "loss weights"),
+        ({"weights": Weights(0.0, 0.0, 0.0, 0.0, 0.0)}, "loss weights"),
     ],
 )
 def test_impossible_settings(settings: dict, why: str) -> None:
@@ -260,7 +260,7 @@ UNUSABLE = "{run}/model.json: cannot be used ("
         (weights_not_finite, "are not finite"),
         (
             lambda run: save_json(run / ABOUT, {**load_json(run / ABOUT), "pca": "one"}),
-            "reads features of the PCA one; the dataset's are of ours",
+            "reads features of PCA one; the dataset's were made with PCA ours",
         ),
         (
             stated("loss", "weights", {"yaw": "text"}),

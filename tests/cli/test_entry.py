@@ -102,8 +102,11 @@ def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
         (("train", "{dataset}", "--out", "{tmp}/run", "--device", "abacus"), "no device 'abacus'"),
         (("train", "{dataset}", "--out", "{dataset}"), "holds files that are not of a run"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--seed", "99999999999999999999"), "below 2^63"),
-        (("extract", "{drive}", *RIG, "--out", "{tmp}/d.zarr", "--keyframe-metres", "nan"), "--keyframe-metres is nan"),
-        (("fit-pca", "{drive}", "--rig", "kitti", "--images", "0"), "--images is 0; give 1 or more"),
+        (
+            ("extract", "{drive}", *RIG, "--out", "{tmp}/d.zarr", "--keyframe-metres", "nan"),
+            "invalid --keyframe-metres nan",
+        ),
+        (("fit-pca", "{drive}", "--rig", "kitti", "--images", "0"), "invalid --images 0; give 1 or more"),
         (("fit-pca", "{drive}", "--rig", "kitti", "--out", "{dataset}"), "is a folder; give a file as --out"),
         (("inspect", "{drive}", "--write-rig", "{dataset}/zarr.json"), "already exists"),
         (("extract", *RIG, "--out", "{tmp}/d.zarr"), "no log is given"),

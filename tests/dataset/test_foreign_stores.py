@@ -62,7 +62,7 @@ def test_other_codecs_are_not_opened(dataset, tmp_path, capsys):
     with pytest.raises(DatasetError, match="cannot be read"):
         open_dataset(dataset)
     write_checksums(dataset / "kept", (dataset / "kept").rglob("zarr.json"))
-    refused(dataset, capsys, "codec 'numcodecs.pickle', not one of")
+    refused(dataset, capsys, "codec 'numcodecs.pickle' is not one of")
     assert not proof.exists()
 
 

@@ -137,5 +137,5 @@ def test_what_cannot_be_extracted_ends_in_one_line_and_good_drives_stay(folder: 
         extract([tmp_path / "blind.mcap"], rig, tmp_path / "e.zarr", pca=pca, features="ground-truth")
     with pytest.raises(DatasetError, match="another"):
         extract([folder / "drive.mcap"], rig, folder / "data.zarr", split="blocks:1,0,0", force=True)
-    with pytest.raises(DatasetError, match="min-hindsight is 2"):
+    with pytest.raises(DatasetError, match="invalid --min-hindsight 2"):
         extract([folder / "drive.mcap"], rig, tmp_path / "f.zarr", pca=pca, min_hindsight=2.0)

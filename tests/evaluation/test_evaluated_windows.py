@@ -154,9 +154,9 @@ def test_bands_are_in_the_metrics_and_the_report(dataset: Dataset) -> None:
 
 @pytest.mark.parametrize("wrong", [-1.0, float("nan")])
 def test_impossible_speeds_are_refused(wrong: float, dataset: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(RunError, match=r"--min-speed is .*; give a speed of 0 or more"):
+    with pytest.raises(RunError, match=r"invalid --min-speed .*; give a speed of 0 or more"):
         refuse_impossible(TrainConfig(min_speed=wrong))
-    with pytest.raises(OffpisteError, match="--min-speed is"):
+    with pytest.raises(OffpisteError, match="invalid --min-speed"):
         evaluate_runs([tmp_path / "run"], dataset.path, tmp_path / "out", min_speed=wrong)
 
 

@@ -224,7 +224,7 @@ def test_a_calibration_of_another_size_is_reported_and_stops_nothing(tmp_path):
     messages = [(0.3, "/points", cloud(0.2)), (0.3, "/image", compressed(0.1, np.zeros((60, 80, 3), np.uint8))), *FIXED]
     path = record(tmp_path / "drive.mcap", messages)
     (finding,) = [f for f in check_sensors(open_log(path), sensor_rig()) if f.severity == "warning"]
-    assert "images of 80x60, and a calibration for 8x6" in finding.what
+    assert "images of 80x60 pixels, but a calibration for 8x6" in finding.what
     assert "calibration of these images" in finding.remedy
 
 

@@ -69,8 +69,8 @@ def test_the_vehicle_and_the_noise_of_positions_are_options(place, tmp_path):
 @pytest.mark.parametrize(
     ("options", "what"),
     [
-        ("--seconds inf", "--seconds: a drive of inf s"),
-        ("--seconds 0", "--seconds: a drive of 0 s"),
+        ("--seconds inf", "--seconds: invalid duration inf s"),
+        ("--seconds 0", "--seconds: invalid duration 0 s"),
         ("--out a.mcap", "--out would do nothing"),
         ("--drives 2", "--drives would do nothing"),
     ],

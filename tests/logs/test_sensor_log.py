@@ -198,7 +198,7 @@ BAD = {
     "binning": ([TREE, (0, "/info", info(binning_x=2)), *BOTH], r"binning.*give the intrinsics"),
     "another size": (
         [TREE, (0, "/info", info(16, 12)), *BOTH],
-        r"'front' has images of 8x6, and a calibration for 16x12",
+        r"'front' has images of 8x6 pixels, but a calibration for 16x12",
     ),
     "no images": ([*STILL, ONE_CLOUD], r"'front': no messages on topic '/image'.*optional = true"),
     "images of points": (

@@ -81,7 +81,7 @@ def test_library_and_plain_function_agree_with_a_reference(seed, monkeypatch):
 
 def test_arrays_of_other_shapes_are_refused():
     for points, sensor in ((np.zeros((3, 2)), SENSOR), (np.zeros((3, 3)), SENSOR[:2])):
-        with pytest.raises(ValueError, match="of shape"):
+        with pytest.raises(ValueError, match="have shapes"):
             inspect.unwrap(GhostFinder.find)(GhostFinder(), points, sensor)
 
 

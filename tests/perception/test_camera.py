@@ -78,7 +78,7 @@ def test_a_calibration_that_does_not_fit_is_refused():
     model = MODELS["plumb_bob"]
     with pytest.raises(PerceptionError, match=r"^left: calibration is not finite"):
         make_rectifier(dataclasses.replace(model, matrix=np.full((3, 3), np.nan)), name="left")
-    with pytest.raises(PerceptionError, match=r"^camera: an image of 320x240, calibrated for 640x480; give"):
+    with pytest.raises(PerceptionError, match=r"^camera: images are 320x240 pixels, the calibration 640x480; give"):
         make_rectifier(model)(np.zeros((240, 320, 3), dtype=np.uint8))
     with pytest.raises(PerceptionError, match="folds the image over; check the order and sign"):
         make_rectifier(CameraModel(640, 480, MATRIX, (-0.9, 0.0, 0.0, 0.0), "plumb_bob"))
@@ -98,7 +98,7 @@ def test_a_painted_mask_and_polygons_add_up(tmp_path: Path):
     assert mask.sum() == 5 * 20 + 4 * 4
     assert mask[15, 5]
     assert mask[3, 3]
-    with pytest.raises(PerceptionError, match=r"bonnet.png: a mask of 30x20 for a camera of 20x30"):
+    with pytest.raises(PerceptionError, match=r"bonnet.png: the mask has 30x20 pixels, but the camera has 20x30"):
         own_body(camera(str(tmp_path / "bonnet.png"), size=(20, 30)))
     for content in (None, b"", b"text"):
         if content is not None:
@@ -115,7 +115,7 @@ def test_polygons_overlap_without_cancelling_and_may_leave_the_image():
     below = mask_from_polygons([[(-50.0, 8.0), (70.0, 8.0), (70.0, 99.0), (-50.0, 99.0)]], 20, 12)
     assert below[8:].all()
     assert not below[:8].any()
-    with pytest.raises(PerceptionError, match="polygon of 2 corners"):
+    with pytest.raises(PerceptionError, match="polygon has 2 corners"):
         mask_from_polygons([[(0.0, 0.0), (1.0, 1.0)]], 20, 12)
 
 

@@ -33,5 +33,5 @@ def test_share_of_a_mask():
 
 
 def test_an_image_smaller_than_a_patch_is_refused():
-    with pytest.raises(PerceptionError, match=r"^an image of 13x100 holds no patch of 14x14 pixels"):
+    with pytest.raises(PerceptionError, match=r"^an image of 13x100 pixels is smaller than a patch \(14x14\)"):
         PatchGrid(13, 100, 14)

@@ -57,7 +57,7 @@ def test_the_compiled_pass_does_not_depend_on_the_default_type():
 def test_shapes_that_do_not_fit_are_refused():
     jaxtyping.config.update("jaxtyping_disable", True)
     for shape, before in (((4, 3, 2), None), ((4, 3), None), ((4, 3, 3), (2,)), ((4, 3, 3), ())):
-        with pytest.raises(ValueError, match=re.escape(f"controls are {list(shape)}")):
+        with pytest.raises(ValueError, match=re.escape(f"controls have shape {list(shape)}")):
             keep_within(CONTROL_LIMITS, 0.02, torch.zeros(shape), before if before is None else torch.zeros(before))
 
 

@@ -181,7 +181,7 @@ def test_a_map_that_holds_codes_needs_no_encoder():
     torch.testing.assert_close(again, (codes, missing), rtol=0, atol=0)
     eager = driving_costs(dynamics, model_state, coded_at, CostWeights(), as_codes(missing))(controls)
     torch.testing.assert_close(eager, driving_costs(dynamics, model_state, at, CostWeights(), encoder)(controls))
-    with pytest.raises(ValueError, match="holds 2 numbers a cell; codes are 3"):
+    with pytest.raises(ValueError, match="codes of length 2; the encoder's have length 3"):
         coded_map(at.ground.features[0], encoder)
 
 
@@ -249,7 +249,7 @@ def test_a_sample_with_nan_costs_nan_and_others_do_not():
 def test_inputs_that_the_kernel_does_not_support_are_refused():
     at, dynamics = situation(ground()), model("dc")
     model_state, codes = start(dynamics, at), encode_map(at.ground, dynamics.encoder)
-    with pytest.raises(ValueError, match="codes of 0"):
+    with pytest.raises(ValueError, match="codes have length 0"):
         fused_costs(dynamics, model_state, at, CostWeights(), encode_map(at.ground, None))
     with pytest.raises(ValueError, match="the start is"):
         fused_costs(dynamics, spread_model_state(model_state, 2), at, CostWeights(), codes)

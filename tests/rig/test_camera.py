@@ -33,7 +33,7 @@ def test_unprojecting_undoes_projecting(model: CameraModel):
         ({"distortion": (0.1, 0.2)}, "2 distortion coefficients, plumb_bob has 0 or 4 or 5"),
         ({"matrix": np.zeros((3, 3))}, "uncalibrated: its focal length is 0"),
         ({"matrix": np.full((3, 3), np.nan)}, "calibration is not finite"),
-        ({"width": 0}, "an image of 0x480 pixels"),
+        ({"width": 0}, "invalid image size 0x480 pixels"),
     ],
 )
 def test_bad_calibrations_are_named(change: dict, message: str):

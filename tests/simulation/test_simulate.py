@@ -95,16 +95,16 @@ def run(*arguments: str) -> int:
     ("arguments", "said"),
     [
         (("--world", "moon"), "moon"),
-        (("--seconds", "0"), "a drive of 0 s"),
-        (("--seconds", "nan"), "a drive of nan s"),
-        (("--pose-noise", "-1"), "pose_noise_m is -1"),
-        (("--mounting-turn", "nan"), "mounting_turn is nan; give a number of 0 or more"),
-        (("--stamp-offset", "inf"), "stamp_offset_ms is inf"),
-        (("--drive-seed", "-1"), "seed is -1"),
+        (("--seconds", "0"), "invalid duration 0 s"),
+        (("--seconds", "nan"), "invalid duration nan s"),
+        (("--pose-noise", "-1"), "invalid pose_noise_m = -1"),
+        (("--mounting-turn", "nan"), "invalid mounting_turn = nan; give a number of 0 or more"),
+        (("--stamp-offset", "inf"), "invalid stamp_offset_ms = inf"),
+        (("--drive-seed", "-1"), "invalid drive seed -1"),
         (("--out", "{tmp}/there.mcap"), "exists already"),
         (("--drives", "0"), "0 drives"),
         (("--drives", "2", "--drive-seed", "1"), "--drive-seed cannot be combined with --drives"),
-        (("--drives", "2", "--processes", "-1"), "--processes is -1; give 1 or more, or 0"),
+        (("--drives", "2", "--processes", "-1"), "invalid --processes -1; give 1 or more, or 0"),
     ],
 )
 def test_a_mistake_ends_in_one_line_and_exit_code_1(arguments, said, tmp_path, capsys):

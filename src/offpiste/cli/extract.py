@@ -64,7 +64,9 @@ class Extract:
         from offpiste.rig.rig import load_rig
 
         if not 0 <= self.keyframe_metres < math.inf:
-            raise PerceptionError(f"--keyframe-metres is {self.keyframe_metres:g}", how="give a distance of 0 or more")
+            raise PerceptionError(
+                f"invalid --keyframe-metres {self.keyframe_metres:g}", how="give a distance of 0 or more"
+            )
         rig = load_rig(self.rig)
         dataset = extract(
             self.logs,

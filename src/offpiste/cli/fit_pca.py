@@ -55,7 +55,7 @@ class FitPca:
             raise PerceptionError("is a folder", where=self.out, how="give a file as --out")
         for name, least in (("images", 1), ("components", 1), ("seed", 0)):
             if (value := getattr(self, name)) < least:
-                raise PerceptionError(f"--{name} is {value}", how=f"give {least} or more")
+                raise PerceptionError(f"invalid --{name} {value}", how=f"give {least} or more")
         fitted = fit_pca(
             self.logs,
             load_rig(self.rig),

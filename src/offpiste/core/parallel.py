@@ -218,7 +218,7 @@ def _connected(address: str) -> Iterator[Any]:
 def at_a_time(processes: int, device: str = "cpu") -> int:
     """Return the number of processes: for 0, one per core on the CPU and one on a GPU; `OffpisteError` if negative."""
     if processes < 0:
-        raise OffpisteError(f"--processes is {processes}", how="give 1 or more, or 0 for one per core")
+        raise OffpisteError(f"invalid --processes {processes}", how="give 1 or more, or 0 for one per core")
     return processes or (usable_cores() if device == "cpu" else 1)
 
 

@@ -57,7 +57,7 @@ class ExtractSettings:
         if self.pca is not None and self.features != "none":
             raise DatasetError(f"both a PCA and '{self.features}' features are given", how="leave out one of them")
         if not 0 <= self.min_hindsight <= 1:
-            raise DatasetError(f"min-hindsight is {self.min_hindsight:g}", how="give a share from 0 to 1")
+            raise DatasetError(f"invalid --min-hindsight {self.min_hindsight:g}", how="give a share from 0 to 1")
 
 
 class Job(NamedTuple):

@@ -125,10 +125,10 @@ class SnapshotSettings:
 
     def __post_init__(self) -> None:
         if not 0 <= self.latency <= 1:
-            raise DatasetError(f"the latency of snapshots is {self.latency:g} s", how="give a time from 0 to 1 s")
+            raise DatasetError(f"invalid snapshot latency {self.latency:g} s", how="give a time from 0 to 1 s")
         for name, value, unit in (("time between", self.seconds, "s"), ("minimum speed of", self.min_speed, "m/s")):
             if value is not None and not 0 <= value < np.inf:
-                raise DatasetError(f"the {name} snapshots is {value:g} {unit}", how="give a number of 0 or more")
+                raise DatasetError(f"invalid {name} snapshots: {value:g} {unit}", how="give a number of 0 or more")
 
 
 class SnapshotSchedule:
@@ -219,7 +219,7 @@ class Snapshots:
         ny, nx = self.shape[number].tolist()
         try:
             if not 0 <= end - begin <= ny * nx <= _MOST_CELLS:
-                raise ValueError(f"the map of {ny} x {nx} cells lists {end - begin} known ones")
+                raise ValueError(f"the map has {ny} x {nx} cells, but lists {end - begin} known ones")
             for array in self.cells.values():
                 refuse_expanding(self.folder, array, begin, end)
             read = {name: np.asarray(array[begin:end]) for name, array in self.cells.items()}

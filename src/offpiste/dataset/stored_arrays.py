@@ -60,13 +60,13 @@ def refuse_foreign(metadata: dict[str, Any]) -> None:
         return
     codecs = {codec["name"] for codec in metadata["codecs"]}
     if foreign := sorted(codecs - CODECS):
-        raise ValueError(f"codec '{foreign[0]}', not one of {', '.join(sorted(CODECS))}")
+        raise ValueError(f"codec '{foreign[0]}' is not one of {', '.join(sorted(CODECS))}")
     if metadata.get("storage_transformers"):
         raise ValueError("storage transformers, which datasets do not have")
     chunk = math.prod(_chunk_shape(metadata)) * np.dtype(metadata["data_type"]).itemsize
     most = LARGEST_COMPRESSED if "zstd" in codecs else LARGEST_CHUNK
     if chunk > most:
-        raise ValueError(f"chunks of {chunk >> 20} MiB, more than {most >> 20}")
+        raise ValueError(f"chunks of {chunk >> 20} MiB exceed the limit of {most >> 20} MiB")
 
 
 def refuse_expanding(folder: Path, array: Any, begin: int, end: int) -> None:

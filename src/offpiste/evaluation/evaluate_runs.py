@@ -55,7 +55,7 @@ def evaluate_runs(
         raise RunError("the runs are missing", how="name one or more: offpiste evaluate RUN... --dataset DATASET")
     check_folder(out, own=REPORT_FILES)
     if min_speed is not None and not 0 <= min_speed < math.inf:
-        raise OffpisteError(f"--min-speed is {min_speed:g}", how="give a speed of 0 or more [m/s]")
+        raise OffpisteError(f"invalid --min-speed {min_speed:g}", how="give a speed of 0 or more [m/s]")
     dataset = open_dataset(dataset_path).starting_above(min_speed)
     runs, models, given = list[Run](), list[EvaluatedModel](), list[Path]()
     for folder in folders:

@@ -150,7 +150,7 @@ def _put(message: Any, path: str, value: float) -> None:
             present = np.concatenate((present, np.zeros(int(index) + 1 - len(present), present.dtype)))
         number = _alike(present[int(index)].item(), value)
         if present.dtype.kind in "iu" and not np.iinfo(present.dtype).min <= number <= np.iinfo(present.dtype).max:
-            raise OverflowError(f"its elements are {present.dtype}")
+            raise OverflowError(f"its elements have type {present.dtype}")
         present[int(index)] = number
         setattr(message, name, present)
     elif isinstance(present, int | float):

@@ -221,7 +221,7 @@ class _Listener:
             oldest = math.ceil(100 * (age + 2 * seconds / heard.count + spare)) / 100
             timeouts = self._rig.live.timeouts
             if short := [f"live.timeouts.{name}" for name in names if getattr(timeouts, name) < oldest]:
-                what = f"{heard.count / seconds:.1f} a second; after a lost message, the newest is {oldest:g} s old"
+                what = f"{heard.count / seconds:.1f} Hz, so after a lost message the newest is {oldest:g} s old"
                 yield Finding("warning", f"{topic}: {what}: increase {' and '.join(short)}")
 
     def _of(self, topic: str, seconds: float, stamped: bool, published: dict[str, str]) -> tuple[Level, str]:

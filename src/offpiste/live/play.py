@@ -160,7 +160,7 @@ class LogPlayer:
     def play(self, rate: float, seconds: float) -> Played:
         """Play at most so many seconds of the log, at a rate relative to the recording."""
         if not 0 < rate <= 100:
-            raise LiveError(f"a rate of {rate:g}", where="--rate", how="give a rate above 0, and at most 100")
+            raise LiveError(f"invalid rate {rate:g}", where="--rate", how="give a rate above 0, and at most 100")
         began, late, messages, steps = time.monotonic(), 0.0, 0, 0
         total = round(min(seconds, self._drive.seconds + DT) / DT)
         for _, step in zip(track(range(total), f"play {self._drive.path.name}"), self._drive.steps(), strict=False):

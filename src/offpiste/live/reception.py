@@ -43,7 +43,7 @@ class CourseRequest:
         if sum((self.file is not None, bool(self.topic), self.goal is not None)) != 1:
             raise LiveError("the course is missing, or given more than once", how=how)
         if not 0 < self.speed <= 30:
-            raise LiveError(f"a desired speed of {self.speed:g} m/s", how="give --speed above 0, and at most 30")
+            raise LiveError(f"invalid desired speed {self.speed:g} m/s", how="give --speed above 0, and at most 30")
         if self.goal is not None and not np.isfinite(self.goal).all():
             raise LiveError("the goal is not finite", where="--goal", how="give metres in the frame of the poses")
 

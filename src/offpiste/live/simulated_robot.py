@@ -200,7 +200,7 @@ def simulate_live(
     """Simulate a vehicle that is driven over the transport, and log the scores of its drive."""
     require("live", "zenoh")
     if not DT / 2 < seconds < np.inf:
-        raise LiveError(f"a drive of {seconds:g} s", where="--seconds", how="give a finite number above 0")
+        raise LiveError(f"invalid duration {seconds:g} s", where="--seconds", how="give a finite number above 0")
     parameters, made = load_vehicle(vehicle or None), make_world(world)
     chosen = choose_course(made, world.seed, CourseSettings(speed=speed))
     freeze_loaded_objects()

@@ -161,7 +161,7 @@ class SensorLog:
             height, width = raw.pixels.shape[:2]
             if (width, height) != camera.model.size:
                 size = "{}x{}".format(*camera.model.size)
-                what = f"'{camera.name}' has images of {width}x{height}, and a calibration for {size}"
+                what = f"'{camera.name}' has images of {width}x{height} pixels, but a calibration for {size}"
                 raise LogError(what, where=self.path, how="give the calibration of these images in the rig")
             return Image(raw.time - camera.source.delay, camera.name, in_eight_bits(raw.pixels, camera))
 

@@ -62,7 +62,7 @@ def nearest_returns(
     points, n = np.ascontiguousarray(points_world, np.float64), len(points_world)
     left_out, sensor = np.ascontiguousarray(left_out, np.bool_), np.ascontiguousarray(sensor_world, np.float64)
     if points.shape != (n, 3) or left_out.shape != (n,) or sensor.shape != (3,):
-        raise ValueError(f"{points.shape} points, but {left_out.shape} left out, and a sensor of {sensor.shape}")
+        raise ValueError(f"points, left_out and sensor have shapes {points.shape}, {left_out.shape} and {sensor.shape}")
     nearest, count = np.full((ROWS, COLUMNS), np.inf, np.float32), np.zeros((ROWS, COLUMNS), np.int32)
     put_returns(points, n, sensor, left_out, nearest, count)
     return NearestReturns(_around(nearest, np.minimum, np.inf), _around(count, np.add, 0.0))

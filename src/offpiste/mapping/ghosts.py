@@ -38,7 +38,7 @@ class GhostSettings:
 
     def __post_init__(self) -> None:
         if not 0 < self.depth < float("inf"):
-            raise MapError(f"ghosts: depth is {self.depth}", where="map settings", how="give a positive number")
+            raise MapError(f"invalid ghosts.depth = {self.depth}", where="map settings", how="give a positive number")
         if not 4 <= self.sectors <= 4096 or not 4 <= self.rings <= 1024 or not 0 <= self.window < self.sectors // 2:
             how = "give 4 to 4096 sectors, 4 to 1024 rings, and a window of less than half the sectors"
             raise MapError(f"ghosts: {self.sectors} sectors, {self.rings} rings", where="map settings", how=how)
@@ -63,7 +63,7 @@ class GhostFinder:
         grid, cells, depth = (settings.sectors, settings.rings), settings.sectors * settings.rings, settings.depth
         points, sensor = np.ascontiguousarray(points_world, np.float64), np.ascontiguousarray(sensor_world, np.float64)
         if points.shape != (n, 3) or sensor.shape != (3,):
-            raise ValueError(f"points of shape {points.shape} and a sensor of {sensor.shape}")
+            raise ValueError(f"points and sensor have shapes {points.shape} and {sensor.shape}")
         cell, height, distance = np.empty(n, np.int32), np.empty(n, np.float32), np.empty(n, np.float32)
         low, away = np.full(cells + 1, np.inf, np.float32), np.ones(cells + 1, np.float32)
         place_returns(points, n, sensor, *grid, HALF_OF_RINGS, cell, height, distance, low, away)

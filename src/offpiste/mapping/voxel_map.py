@@ -290,7 +290,7 @@ def check_positive(settings: object, *names: str) -> None:
     for name in names:
         value = getattr(settings, name)
         if not 0 < value < float("inf"):
-            raise MapError(f"{name} is {value}", where="map settings", how="give a positive number")
+            raise MapError(f"invalid {name} = {value}", where="map settings", how="give a positive number")
 
 
 class VoxelMap:

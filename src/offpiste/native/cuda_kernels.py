@@ -90,7 +90,7 @@ def argument_of(argument: Tensor | int | None) -> int | np.int32:
         return 0
     if isinstance(argument, Tensor):
         if not argument.is_contiguous():
-            raise ValueError(f"an array of {list(argument.shape)} is not contiguous")
+            raise ValueError(f"an array of shape {list(argument.shape)} is not contiguous")
         return argument.data_ptr()
     return np.int32(argument)
 

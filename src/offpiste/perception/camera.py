@@ -36,7 +36,7 @@ class Rectifier:
         """Rectify an image; raise `PerceptionError` if its size is not the calibration's."""
         height, width = image.shape[:2]
         if (width, height) != self.source.size:
-            what = f"an image of {width}x{height}, calibrated for {self.source.width}x{self.source.height}"
+            what = f"images are {width}x{height} pixels, the calibration {self.source.width}x{self.source.height}"
             raise PerceptionError(what, where=self.name, how="give the calibration (CameraInfo) of these images")
         recorded = np.ascontiguousarray(image)
         edge = cv2.BORDER_REPLICATE  # pixels reach half a pixel beyond their centres
@@ -117,7 +117,7 @@ def mask_from_polygons(
     mask = np.zeros((height, width), dtype=np.uint8)
     for polygon in polygons:
         if len(polygon) < 3:
-            what = f"a mask's polygon of {len(polygon)} corners"
+            what = f"a mask polygon has {len(polygon)} corners"
             raise PerceptionError(what, how="give three corners (x, y) or more")
         # One at a time: polygons filled together cancel out where they overlap.
         cv2.fillPoly(mask, [np.rint(np.asarray(polygon, dtype=np.float64)).astype(np.int32)], 1)
@@ -138,7 +138,7 @@ def own_body(camera: Camera) -> Bool[np.ndarray, "h w"]:
         if picture is None:
             raise PerceptionError("cannot be read as a picture", where=path, how="give a PNG of the camera's size")
         if picture.shape != (height, width):
-            what = f"a mask of {picture.shape[1]}x{picture.shape[0]} for a camera of {width}x{height}"
+            what = f"the mask has {picture.shape[1]}x{picture.shape[0]} pixels, but the camera has {width}x{height}"
             raise PerceptionError(what, where=path, how="paint it on an image of that camera")
         mask |= picture > 0
     return mask

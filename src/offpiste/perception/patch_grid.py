@@ -21,7 +21,7 @@ class PatchGrid:
 
     def __post_init__(self) -> None:
         if self.width < self.size or self.height < self.size:
-            what = f"an image of {self.width}x{self.height} holds no patch of {self.size}x{self.size} pixels"
+            what = f"an image of {self.width}x{self.height} pixels is smaller than a patch ({self.size}x{self.size})"
             raise PerceptionError(what, how="give larger images")
 
     @property

@@ -108,7 +108,7 @@ def keep_within(
     columns = (len(limits.low),)
     if controls.shape[2:] != columns or (previous is not None and previous.shape != columns):
         before = "" if previous is None else f", the control before {list(previous.shape)}"
-        raise ValueError(f"controls are {list(controls.shape)}{before}; the limits want [K, T, {columns[0]}]")
+        raise ValueError(f"controls have shape {list(controls.shape)}{before}, not [K, T, {columns[0]}]")
     fast = controls.device.type == "cpu" and controls.dtype == torch.float32 and library() is not None
     if limits.rate is None or not fast:
         return keep_within_stepwise(limits, dt, controls, previous)

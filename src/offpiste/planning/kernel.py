@@ -112,7 +112,7 @@ def coded_map(codes: Float[Tensor, "ny nx n"], encoder: FeatureEncoder) -> Codes
     """
     missing = encoder.missing()
     if codes.shape[-1] != encoder.size:
-        raise ValueError(f"the map holds {codes.shape[-1]} numbers a cell; codes are {encoder.size}")
+        raise ValueError(f"the map has codes of length {codes.shape[-1]}; the encoder's have length {encoder.size}")
     return codes.to(missing.dtype).where(codes.isfinite().all(dim=-1, keepdim=True), missing), missing
 
 
@@ -177,7 +177,7 @@ def _bind(
         widths, wanted = {len(CONTROL), len(vehicle.control_columns)}, (torch.float32, torch.device("cpu"))
         if controls.ndim != 3 or controls.shape[2] not in widths or (controls.dtype, controls.device) != wanted:
             result = f"{list(controls.shape)}, {controls.dtype} on {controls.device}"
-            raise ValueError(f"controls are {result}; the kernel wants [K, T, {min(widths)}], float32 on the CPU")
+            raise ValueError(f"controls are {result}, but the kernel needs [K, T, {min(widths)}], float32 on the CPU")
         own, costs = Arrays(), controls.new_empty(len(controls))
         completed = complete(vehicle, controls, situation.gear)
         samples = _Samples(
@@ -259,6 +259,6 @@ def _check(dynamics: Dynamics, model_state: ModelState, codes: Codes) -> None:
         raise ValueError("no kernel for this model; see `supports`")
     result, needed = list(model_state.pack().shape), [1, len(layout.STEPPED) + dynamics.recurrent_size]
     if result != needed:
-        raise ValueError(f"the start is {result}; the kernel wants {needed}")
+        raise ValueError(f"the start is {result}, but the kernel needs {needed}")
     if codes[0].shape[-1] != dynamics.codes or len(codes[1]) != dynamics.codes:
-        raise ValueError(f"codes of {codes[0].shape[-1]} numbers; the model reads {dynamics.codes}")
+        raise ValueError(f"codes have length {codes[0].shape[-1]}, but the model reads {dynamics.codes}")

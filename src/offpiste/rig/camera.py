@@ -57,7 +57,7 @@ class CameraModel:
             what = f"{len(self.distortion)} distortion coefficients, {self.distortion_model} has {wanted}"
             raise PerceptionError(what, where=name, how=how)
         if self.width < 1 or self.height < 1 or self.width * self.height > MOST_PIXELS:
-            raise PerceptionError(f"an image of {self.width}x{self.height} pixels", where=name, how=how)
+            raise PerceptionError(f"invalid image size {self.width}x{self.height} pixels", where=name, how=how)
         if not (np.isfinite(self.matrix).all() and np.isfinite(self.distortion).all()):
             raise PerceptionError("calibration is not finite", where=name, how=how)
         if self.matrix[0, 0] <= 0 or self.matrix[1, 1] <= 0:

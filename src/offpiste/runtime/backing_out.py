@@ -53,7 +53,7 @@ class BackingOutSettings:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not value > 0 and not (name == "attempts" and value == 0):
-                raise PlanningError(f"backing_out.{name} is {value:g}", how="give a positive number")
+                raise PlanningError(f"invalid backing_out.{name} = {value:g}", how="give a positive number")
 
 
 @dataclass

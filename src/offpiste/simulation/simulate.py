@@ -144,13 +144,13 @@ def simulate(settings: DriveSettings, out: Path) -> DriveSummary:
 def check_settings(settings: DriveSettings) -> None:
     """Raise `OffpisteError` for the first setting out of range."""
     if not DT / 2 < settings.seconds < np.inf:
-        raise OffpisteError(f"a drive of {settings.seconds:g} s", how="give --seconds above zero")
+        raise OffpisteError(f"invalid duration {settings.seconds:g} s", how="give --seconds above zero")
     amounts = {**vars(settings.imperfections), "mounting_turn": settings.mounting_turn}
     for name, amount in amounts.items():
         if not np.isfinite(amount) or (amount < 0 and name != "stamp_offset_ms"):
-            raise OffpisteError(f"{name} is {amount:g}", how="give a number of 0 or more")
+            raise OffpisteError(f"invalid {name} = {amount:g}", how="give a number of 0 or more")
     if settings.seed < 0:
-        raise OffpisteError(f"the drive's seed is {settings.seed}", how="choose 0 or more")
+        raise OffpisteError(f"invalid drive seed {settings.seed}", how="choose 0 or more")
     sensor_suite(settings.sensors)
 
 

@@ -84,10 +84,10 @@ def refuse_impossible(config: TrainConfig) -> None:
         ("min_speed", config.min_speed is None or 0 <= config.min_speed < math.inf, "a speed of 0 or more [m/s]"),
     ):
         if not good:
-            raise RunError(f"--{name.replace('_', '-')} is {getattr(config, name):g}", how=f"give {allowed}")
+            raise RunError(f"invalid --{name.replace('_', '-')} {getattr(config, name):g}", how=f"give {allowed}")
     weights = config.weights.in_order()
     if not (all(0 <= weight < math.inf for weight in weights) and any(weights)):
-        raise RunError(f"weights of the loss are {weights}", how="give numbers of 0 or more, and one above 0")
+        raise RunError(f"invalid loss weights {weights}", how="give numbers of 0 or more, and one above 0")
 
 
 def other_settings(before: dict[str, Any], now: dict[str, Any]) -> str:

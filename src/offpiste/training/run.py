@@ -340,7 +340,7 @@ def _misfits(run: Run, dataset: Dataset) -> Iterator[tuple[str, str]]:
             what = f"reads {needed.features} terrain features; the dataset has {given.features}"
             yield what, f"use a dataset that was extracted with {option}"
         if None not in (run.pca, dataset.pca) and run.pca != dataset.pca:
-            what = f"reads features of the PCA {run.pca}; the dataset's are of {dataset.pca}"
+            what = f"reads features of PCA {run.pca}; the dataset's were made with PCA {dataset.pca}"
             yield what, "evaluate it on a dataset that was extracted with the PCA of its training"
         if run.features and run.features != dataset.features:
             read, there = (

@@ -167,7 +167,7 @@ def _refuse_poor(dynamics: Dynamics, windows: Windows, config: TrainConfig) -> N
         what = f"has no views by distance, on which model '{config.model}' is trained"
         how = "extract visual features (`extract --pca`), or train `cf`"
     elif len(windows) < config.batch:
-        what = f"has {len(windows)} windows to train, fewer than a batch of {config.batch}"
+        what = f"has {len(windows)} training windows, fewer than a batch ({config.batch})"
         how = "extract longer or more drives, or give a smaller --batch"
     elif dynamics.encoder is not None and not windows.features_at_starts()[1].any():
         what = "all terrain features are missing under the wheels where training windows start"

@@ -96,6 +96,6 @@ def test_gradients_and_single_precision_are_left_to_the_eager_model_and_too_few_
         )
     torch.testing.assert_close(first, second, rtol=1e-5, atol=1e-5)
     few = replace(maps, features=maps.features[:, : FEATURES - 2].contiguous())
-    with torch.no_grad(), pytest.raises(ValueError, match="cells of 3 features; the encoder reads 4"):
+    with torch.no_grad(), pytest.raises(ValueError, match="cells have 3 features, but the encoder reads 4"):
         predict_on(model, state, torch.zeros(1, 5, 3), MapTerrain(few, *given, model.encoder))
     assert not supports_encoder(model.encoder, few.features.float())

@@ -26,8 +26,12 @@ def test_sprung_and_unsprung_masses_have_the_vehicles_centre():
         ("track = 1.32", "trakc = 1.32", "did you mean 'track'"),
         ("track = 1.32", "", "track"),
         ("track = 1.32", "track = ", "not TOML"),
-        ("mass = 1150.0", "mass = 60.0", "mass is 60 kg, and its four wheels are"),
-        ("yaw_inertia = 950.0", "yaw_inertia = 1950.0", "yaw_inertia is 1950, more than the other two together"),
+        ("mass = 1150.0", "mass = 60.0", r"the mass \(60 kg\) is less than that of the four wheels"),
+        (
+            "yaw_inertia = 950.0",
+            "yaw_inertia = 1950.0",
+            r"yaw_inertia \(1950\) exceeds the sum of the other two",
+        ),
     ],
 )
 def test_errors_name_the_key(tmp_path, old, new, said):

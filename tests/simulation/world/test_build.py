@@ -81,10 +81,10 @@ def test_plants_stand_on_the_ground_and_trees_clear_of_trails(world):
     [
         ({"preset": "moon"}, r"no world 'moon'; there are: .*mojave"),
         ({"preset": "moon.json"}, r"no world 'moon.json', and no TOML file; give a TOML file, or one of: .*mojave"),
-        ({"size": 0.0}, "size is 0.0; choose 60 to 2000 m"),
-        ({"size": float("nan")}, "size is nan"),
-        ({"grip_contrast": 1.5}, "grip_contrast is 1.5; choose 0 to 1"),
-        ({"seed": -1}, "seed is -1; choose 0 or more"),
+        ({"size": 0.0}, "invalid size = 0.0; choose 60 to 2000 m"),
+        ({"size": float("nan")}, "invalid size = nan"),
+        ({"grip_contrast": 1.5}, "invalid grip_contrast = 1.5; choose 0 to 1"),
+        ({"seed": -1}, "invalid seed = -1; choose 0 or more"),
     ],
 )
 def test_settings_out_of_range_are_named(change, said):

@@ -71,7 +71,7 @@ def rollout_by_kernels(
     check_shapes(dynamics, model_state, controls, terrain, latent)
     params = packed_parameters(dynamics, apart=True)
     if params.dtype != controls.dtype:
-        raise ValueError(f"controls are {controls.dtype}; this model's kernels want {params.dtype}")
+        raise ValueError(f"controls are {controls.dtype}; this model's kernels need {params.dtype}")
     terms = terms_of_codes(dynamics, latent.flatten(-2))
     unknown = (~terrain.known).to(controls).mean(dim=-1, keepdim=True)
     columns = [controls.detach(), terrain.normal.detach().mean(dim=-2), unknown, terms.detach()]

@@ -183,11 +183,13 @@ def check_shapes(
         "recurrent state": (model_state.recurrent, (batch, dynamics.recurrent_size)),
     }
     if terrain.known.shape != (batch, steps, 4) or terrain.known.dtype != torch.bool:
-        raise ValueError(f"known normals are {list(terrain.known.shape)}, {terrain.known.dtype}")
+        raise ValueError(
+            f"known normals: {list(terrain.known.shape)}, {terrain.known.dtype}; kernels need [B, T, 4], torch.bool"
+        )
     for name, (tensor, shape) in expected.items():
         if tuple(tensor.shape) != shape or (tensor.device, tensor.dtype) != (controls.device, controls.dtype):
             result = f"{list(tensor.shape)}, {tensor.dtype} on {tensor.device}"
-            raise ValueError(f"{name} is {result}; kernels want {list(shape)}, {controls.dtype} on {controls.device}")
+            raise ValueError(f"{name} is {result}; kernels need {list(shape)}, {controls.dtype} on {controls.device}")
     drive_train(
         dynamics.vehicle, model_state.state, model_state.actuators, controls[:, 0]
     )  # says what the vehicle lacks

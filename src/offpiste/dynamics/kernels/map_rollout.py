@@ -65,7 +65,7 @@ def rollout_on_maps(
     maps, arrays, encoder = terrain.maps, Arrays(), encoder_of(dynamics.encoder)
     assert isinstance(maps, CellStack)
     if maps.features.shape[1] < encoder.features:
-        raise ValueError(f"cells of {maps.features.shape[1]} features; the encoder reads {encoder.features}")
+        raise ValueError(f"cells have {maps.features.shape[1]} features, but the encoder reads {encoder.features}")
     batch, steps = controls.shape[:2]
     given = _Maps(
         batch=batch,

@@ -42,7 +42,9 @@ def points_from_message(message: Any) -> np.ndarray:
         if message.height == 1 or message.width == 0:
             strides = (message.width * message.point_step, message.point_step)
         if math.prod(shape) * message.point_step > data.size:  # rows may overlap, or be missing
-            raise ValueError(f"{math.prod(shape)} points of {message.point_step} bytes in {data.size} bytes")
+            raise ValueError(
+                f"{math.prod(shape)} points of {message.point_step} bytes do not fit into {data.size} bytes"
+            )
         points = np.ndarray(shape, point, data.data, strides=strides).reshape(-1)
     except (ValueError, TypeError) as error:
         raise LogError(f"a point cloud's fields do not fit its data: {error}") from error

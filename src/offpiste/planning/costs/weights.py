@@ -32,7 +32,9 @@ class CostWeights:
                 there = ", ".join(f"{known} [{number.unit}]" for known, number in declared.items())
                 raise PlanningError(f"no cost weight '{name}'", how=f"there are: {there}")
             if _size(value) != _size(declared[name].default):
-                raise PlanningError(f"cost weight {name} is {value}", how=f"give one like {declared[name].default}")
+                raise PlanningError(
+                    f"invalid cost weight {name} = {value}", how=f"give one like {declared[name].default}"
+                )
         object.__setattr__(self, "changed", changed)
 
     def __getattr__(self, name: str) -> Any:

@@ -124,7 +124,7 @@ def shade_rays(
     if min(nodes) < 2 or not len(shadow):
         raise ValueError(f"shading needs 2 x 2 nodes and a box around the vehicle, not {nodes} and {len(shadow)}")
     if count and not 0 <= places.min() <= places.max() < len(out):
-        raise ValueError(f"places are {places.min()} to {places.max()} of {len(out)} rows")
+        raise ValueError(f"places {places.min()} to {places.max()} exceed the {len(out)} rows")
     grid, boxes = (*nodes, ground.x0, ground.y0, ground.resolution), (len(shadow), shadow, len(paint), paint)
     _shade_rays(*grid, *texture, numbers, pose, *boxes, pixel, origin, count, *found, places, out)
 

@@ -159,12 +159,12 @@ def load_vehicle(path: str | Path | None = None) -> VehicleParameters:
     file = resources.files(__package__) / "side_by_side.toml" if path is None else Path(path)
     vehicle = read_toml(file, VehicleParameters, "vehicle", "vehicle/side_by_side.toml")
     if vehicle.sprung_mass <= 0:
-        what = f"mass is {vehicle.mass:g} kg, and its four wheels are {4 * vehicle.unsprung_mass:g}"
+        what = f"the mass ({vehicle.mass:g} kg) is less than that of the four wheels ({4 * vehicle.unsprung_mass:g} kg)"
         raise OffpisteError(what, where=str(file), how="give mass of the whole vehicle, and unsprung_mass of one wheel")
     moments = {key: getattr(vehicle, key) for key in ("roll_inertia", "pitch_inertia", "yaw_inertia")}
     largest = max(moments, key=lambda key: moments[key])
     if 2 * moments[largest] > sum(moments.values()):
-        what = f"{largest} is {moments[largest]:g}, more than the other two together: no body has that"
+        what = f"{largest} ({moments[largest]:g}) exceeds the sum of the other two moments, which is impossible"
         raise OffpisteError(what, where=str(file), how="give moments of inertia about the centre of mass [kg m^2]")
     return vehicle
 

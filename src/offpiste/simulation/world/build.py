@@ -68,4 +68,4 @@ def _check(settings: WorldSettings) -> None:
     for name, (low, high, unit) in ALLOWED.items():
         if not low <= (value := getattr(settings, name)) <= high:
             how = f"choose {low:g} or more" if high == np.inf else f"choose {low:g} to {high:g}{unit}"
-            raise OffpisteError(f"{name} is {value}", where="world settings", how=how)
+            raise OffpisteError(f"invalid {name} = {value}", where="world settings", how=how)

@@ -138,7 +138,7 @@ class WorldPreset(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise ValueError(f"{name} is {value:g}, not between {low:g} and {high:g}")
+                raise ValueError(f"{name} must be between {low:g} and {high:g}, not {value:g}")
         if not all(1 <= grain <= 1000 and abs(height) <= 100 for grain, height in self.hills):
             raise ValueError("hills must be pairs of a grain (1 to 1000 m) and a height (at most 100 m)")
         if not 0 < self.tree_height[0] <= self.tree_height[1] <= 100:
