@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from offpiste.logs.ground_truth import GROUND_KINDS
-from offpiste.simulation.rendering.scene import BOXES, Scene
+from offpiste.simulation.rendering.scene import BODY, Scene
 from offpiste.simulation.rendering.shading import (
     BLADES,
     BUMPS,
@@ -35,7 +35,7 @@ from offpiste.simulation.rendering.shading import (
     random_lattice,
 )  # fmt: skip
 from offpiste.simulation.world.grids import Grid, normals_of, smooth_noise, smooth_step
-from offpiste.simulation.world.ground import colour_table
+from offpiste.simulation.world.ground import colour_table, grounds
 from offpiste.simulation.world.world import World
 
 WARMER, GREENER = np.array((1.0, 0.0, -1.0)), np.array((-0.5, 1.0, -0.5))
@@ -83,39 +83,11 @@ def sunlit_ground(world: World, scene: Scene, light: Light, rng: np.random.Gener
     return np.where(shadow, 0.0, facing * open_sky), open_sky
 
 
-@dataclass(frozen=True)
-class Texture:
-    """Texture of a kind of ground, modelled on photographs."""
-
-    fine: float  # brightness share of each octave of noise up to 5 cm and from 80 cm; half of both in between
-    coarse: float
-    accent: tuple[float, float, float]  # linear RGB colour added by large noise
-    bumps: float  # contrast of bumps against the sun
-    stones: float = 0.0  # brightness shares of pebbles, short grass and wind ripples
-    blades: float = 0.0
-    ripples: float = 0.0
-
-
-TEXTURES: Final[dict[str, Texture]] = {
-    "packed_sand": Texture(0.12, 0.06, (0.02, 0.005, -0.012), 0.10, stones=0.12),
-    "loose_sand": Texture(0.08, 0.05, (0.025, 0.005, -0.01), 0.12, ripples=0.13),
-    "dirt_trail": Texture(0.17, 0.08, (0.02, 0.005, -0.01), 0.14, stones=0.14),
-    "gravel": Texture(0.25, 0.06, (0.025, 0.005, -0.015), 0.22, stones=0.50),
-    "mud": Texture(0.10, 0.14, (0.015, 0.01, 0.0), 0.20),
-    "dry_grass": Texture(0.26, 0.11, (-0.07, 0.01, -0.02), 0.16, blades=0.35),
-    "wet_grass": Texture(0.26, 0.11, (0.05, 0.025, 0.0), 0.16, blades=0.45),
-}
-
 COMMON_ROCK: Final = 0.3
 """Similarity in colour of the kinds of ground of a world, at `appearance_noise` 1."""
 SOIL: Final = (0.20, 0.14, 0.09)
 PLANTS: Final = ((0.14, 0.11, 0.08), (0.12, 0.17, 0.06), (0.20, 0.22, 0.13), (1.1, 1.15, 1.0))
 """Linear RGB of soil between blades, and of trunks, crowns and bushes; factor of blades on the ground below."""
-PAINT: Final = {"hood": (0.25, 0.03, 0.02), "fender": (0.25, 0.03, 0.02), "roof": (0.05, 0.05, 0.06)}
-PLASTIC: Final = (0.03, 0.03, 0.033)
-"""Linear RGB of the vehicle's boxes whose name contains a key, and of all others."""
-SHADOWS: Final = ("roof", "hood", "cargo bed", "seats", "chassis")
-"""Boxes of the vehicle that cast a shadow on the ground."""
 
 
 @dataclass(frozen=True)
@@ -153,10 +125,10 @@ def make_appearance(world: World, scene: Scene, drive_seed: int) -> Appearance:
         soil=np.array(SOIL, np.float32),
         plants=(np.array(PLANTS) * leaves).astype(np.float32),
     )
-    boxes = np.array([box for name, box in BOXES.items() if name in SHADOWS])
+    boxes = np.array([(part.low, part.high) for part in BODY.values() if part.shadow])
     around = np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)))
-    paint = [next((colour for part, colour in PAINT.items() if part in name), PLASTIC) for name in BOXES]
-    return Appearance(ground, light, np.concatenate((around[None], boxes)), np.array(paint))
+    paint = np.array([part.paint for part in BODY.values()])
+    return Appearance(ground, light, np.concatenate((around[None], boxes)), paint)
 
 
 def _nodes(
@@ -181,7 +153,8 @@ def _nodes(
     channels = {"fine": FINE, "coarse": COARSE, "bumps": BUMPS, "stones": STONES, "blades": BLADES, "ripples": RIPPLES}
     for name, channel in channels.items():
         full = MOST_RELIEF if channel <= BUMPS else 1.0
-        nodes[..., channel] = _byte(_mix(shares, np.array([getattr(TEXTURES[k], name) for k in GROUND_KINDS]) / full))
+        texture = np.array([ground["texture"].get(name, 0.0) for ground in grounds()])
+        nodes[..., channel] = _byte(_mix(shares, texture / full))
     nodes[..., GLOSS] = _byte(world.wetness**2 * (0.15 + 0.45 * shares[GROUND_KINDS.index("mud")]))
     nodes[..., TRAIL] = _byte(_distance_to_trails(world) / TRAIL_REACH)
     for channel, light_there in zip((SUN, OPEN), sunlit_ground(world, scene, light, of_drive), strict=True):
@@ -196,7 +169,7 @@ def _colours(rng: np.random.Generator, noise: float) -> Float[np.ndarray, "2 2 3
     colour = colour * np.exp(np.clip(local, -0.6, 0.6))
     # Soils of one world share a parent rock.
     colour += min(COMMON_ROCK * noise, 0.6) * (colour.mean(axis=1, keepdims=True) - colour)
-    accent = np.array([TEXTURES[kind].accent for kind in GROUND_KINDS])
+    accent = np.array([ground["texture"]["accent"] for ground in grounds()])
     sides = np.stack((colour - accent, colour + accent), axis=1)
     return np.clip(sides, 0.01, 1.0).transpose(0, 1, 3, 2)
 

@@ -3,9 +3,11 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib import resources
 from itertools import pairwise
 from typing import Final
 
+import msgspec
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -28,29 +30,19 @@ BLADES_PER_AREA = 40.0
 BLADE_WIDTH = 0.03
 """Width of a blade, which represents a small tuft [m]: a level ray travels about 2 m through grass, a steep one hits a
 blade in one of ten cases."""
-BOXES: Final[dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]]] = {
-    "chassis": ((-1.25, -0.45, -0.05), (1.30, 0.45, 0.25)),
-    "hood": ((0.55, -0.42, 0.25), (1.48, 0.42, 0.62)),
-    "left fender": ((0.70, 0.42, 0.42), (1.42, 0.78, 0.52)),
-    "right fender": ((0.70, -0.78, 0.42), (1.42, -0.42, 0.52)),
-    "left rear fender": ((-1.35, 0.50, 0.42), (-0.65, 0.76, 0.52)),
-    "right rear fender": ((-1.35, -0.76, 0.42), (-0.65, -0.50, 0.52)),
-    "cargo bed": ((-1.40, -0.50, 0.25), (-0.62, 0.50, 0.60)),
-    "seats": ((-0.50, -0.60, 0.25), (0.10, 0.60, 0.75)),
-    "left front post": ((0.50, 0.62, 0.40), (0.56, 0.68, 1.46)),
-    "right front post": ((0.50, -0.68, 0.40), (0.56, -0.62, 1.46)),
-    "left rear post": ((-0.58, 0.62, 0.40), (-0.52, 0.68, 1.46)),
-    "right rear post": ((-0.58, -0.68, 0.40), (-0.52, -0.62, 1.46)),
-    "roof": ((-0.60, -0.70, 1.46), (0.58, 0.70, 1.50)),
-    "front left wheel": ((0.67, 0.54, -0.36), (1.39, 0.79, 0.36)),
-    "front right wheel": ((0.67, -0.79, -0.36), (1.39, -0.54, 0.36)),
-    "rear left wheel": ((-1.39, 0.54, -0.36), (-0.67, 0.79, 0.36)),
-    "rear right wheel": ((-1.39, -0.79, -0.36), (-0.67, -0.54, 0.36)),
-}
-"""Parts of the vehicle: lowest and highest corner in the body frame [m].
 
-Wheelbase, track, tyres and roof match side_by_side.toml; the rest is invented. Wheels neither steer nor bounce.
-"""
+
+class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Part of the vehicle (body.toml)."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    paint: tuple[float, float, float] = (0.03, 0.03, 0.033)  # of plastic
+    shadow: bool = False
+
+
+BODY: Final = msgspec.toml.decode((resources.files(__package__) / "body.toml").read_bytes(), type=dict[str, Part])
+"""Parts of the vehicle by name."""
 
 
 def ground_mesh(world: World) -> Mesh:
@@ -242,5 +234,6 @@ def _single(vectors: np.ndarray) -> np.ndarray:
 
 def body_hits(origin: Float[np.ndarray, " 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
     """Return the hits on the vehicle itself of rays in the body frame."""
-    body = Scene([box_mesh(np.array(list(BOXES.values()), np.float32))], threads=1)
+    boxes = np.array([(part.low, part.high) for part in BODY.values()], np.float32)
+    body = Scene([box_mesh(boxes)], threads=1)
     return body.cast(origin[None], directions)
