@@ -47,7 +47,7 @@ def loss(predicted: Trajectory, batch: Batch) -> Tensor:
 @torch.no_grad()
 def evaluated(dynamics: Dynamics, windows: Windows) -> float:
     """The mean loss on the map, as evaluation rolls out."""
-    batch, predicted = roll_out(dynamics, windows, windows.evaluation_indices(5), "map")
+    batch, predicted, _ = roll_out(dynamics, windows, windows.evaluation_indices(5), "map")
     return float(loss(predicted, batch).mean())
 
 

@@ -14,11 +14,11 @@ import torch
 import zarr
 from safetensors.torch import load_file
 
-from factories import circle_rows, small_rig
+from factories import circle_rows, stored_dataset
 from offpiste.core.conventions import CONTROL
 from offpiste.core.errors import DatasetError, OffpisteError, RunError, TrainingError
 from offpiste.dataset.splits import parse_split
-from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
+from offpiste.dataset.store import Dataset, StoredDrive, open_dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid, Parametric
 from offpiste.rig.channels import ChannelSource
@@ -35,12 +35,8 @@ QUICK = TrainConfig(model="b", epochs=2, bicycle_epochs=1, stride=200, batch=64)
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Two circles: enough for every part of the split."""
-    path = tmp_path_factory.mktemp("data") / "dataset.zarr"
-    split = parse_split("blocks:0.6,0.2,0.2")
-    create(path, small_rig(), split)
-    for number, speed in enumerate((4.0, 6.0)):
-        add_drive(path, f"drive{number}", circle_rows(4000, speed=speed, seed=number), split, ())
-    return open_dataset(path)
+    drives = {f"drive{number}": circle_rows(4000, speed=4.0 + 2 * number, seed=number) for number in range(2)}
+    return stored_dataset(tmp_path_factory.mktemp("data") / "dataset.zarr", drives, "blocks:0.6,0.2,0.2")
 
 
 @pytest.fixture(scope="module")
@@ -184,14 +180,14 @@ def test_a_gear_unknown_to_a_run_is_ignored(dataset: Dataset, run: Path, lookup:
     torch.testing.assert_close(one.state, two.state, rtol=0, atol=0)
     vehicle = replace(loaded.dynamics.vehicle, control=(*CONTROL, "gear"))
     knows = Parametric(vehicle)
-    batch, _ = roll_out(knows, Windows(dataset, "test")[:3], np.arange(3), lookup)
+    batch, _, _ = roll_out(knows, Windows(dataset, "test")[:3], np.arange(3), lookup)
     assert (batch.control[..., 3] == 1).all()
     assert (batch.history.control[..., 3] == 1).all()
-    batch, _ = roll_out(knows, Windows(other, "test")[:3], np.arange(3), lookup)
+    batch, _, _ = roll_out(knows, Windows(other, "test")[:3], np.arange(3), lookup)
     assert (batch.control[..., 3] == -1).all()
 
 
-def test_a_value_that_is_not_finite_stops_training_with_its_place_and_keeps_the_last_checkpoint(
+def test_a_value_that_is_not_finite_stops_training_and_keeps_the_last_checkpoint(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = loop.train_epoch
@@ -245,13 +241,9 @@ def test_a_run_is_not_resumed_on_a_dataset_that_changed(tmp_path: Path, monkeypa
     def made(speed: float = 4.0, others: str = "validation", more: str = "", brake: float = 0.0) -> Dataset:
         shutil.rmtree(path, ignore_errors=True)
         listed.write_text(f"one train\ntwo validation\nthree test\nfour {others}\n")
-        split = parse_split(f"drives:{listed}")
-        create(path, small_rig(), split)
-        for name in ("one", "two", "three", *more.split()):
-            rows = circle_rows(1500, speed=speed)
-            control = rows.control + np.float32([0, brake, 0])  # which no metadata have
-            add_drive(path, name, replace(rows, control=control), split, ())
-        return open_dataset(path)
+        rows = circle_rows(1500, speed=speed)
+        rows = replace(rows, control=rows.control + np.float32([0, brake, 0]))  # which no metadata have
+        return stored_dataset(path, dict.fromkeys(("one", "two", "three", *more.split()), rows), f"drives:{listed}")
 
     with monkeypatch.context() as patch:
         kill_after(0, patch)

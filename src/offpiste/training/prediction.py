@@ -37,7 +37,10 @@ AT_ONCE_ON_SNAPSHOTS: Final = 32
 
 def predict_batch(dynamics: Dynamics, batch: Batch) -> Trajectory:
     """Roll out a batch over its recorded terrain, with gradients; by kernels if they support the model."""
-    batch = encoded(dynamics, batch)
+    return _on_recorded(dynamics, encoded(dynamics, batch))
+
+
+def _on_recorded(dynamics: Dynamics, batch: Batch) -> Trajectory:
     model_state = dynamics.start(batch.history, batch.state, batch.actuators)
     if supports(dynamics, batch.state.device, batch.state.dtype):
         return rollout_recorded(dynamics, model_state, batch.control, batch.terrain)
@@ -79,19 +82,20 @@ def roll_out(
     index: Int[np.ndarray, " B"],
     lookup: Lookup | None,
     gathered: Batch | None = None,
-) -> tuple[Batch, Trajectory]:
-    """Predict windows, and return them as a batch in the model's columns with the prediction.
+) -> tuple[Batch, Trajectory, TerrainSource]:
+    """Predict windows; return them as an encoded batch in the model's columns, the prediction and the terrain it read.
 
     Args:
         lookup: None for models that do not read the terrain.
         gathered: the windows if they are gathered already.
     """
-    batch = batch_for(dynamics, windows, windows.gather(index) if gathered is None else gathered)
+    gathered = windows.gather(index) if gathered is None else gathered
+    batch = encoded(dynamics, batch_for(dynamics, windows, gathered))
     if lookup != "map":
-        return batch, predict_batch(dynamics, batch)
-    read, source = on_map(dynamics, windows, index, encoded(dynamics, batch))
-    start = dynamics.start(read.history, read.state, read.actuators)
-    return batch, predict_on(dynamics, start, read.control, source)
+        return batch, _on_recorded(dynamics, batch), RecordedTerrain(batch.terrain)
+    batch, source = on_map(dynamics, windows, index, batch)
+    start = dynamics.start(batch.history, batch.state, batch.actuators)
+    return batch, predict_on(dynamics, start, batch.control, source), source
 
 
 def batch_for(dynamics: Dynamics, windows: Windows, batch: Batch) -> Batch:

@@ -12,14 +12,13 @@ from torch import Tensor
 
 from offpiste.core.errors import RunError
 from offpiste.core.progress import track
-from offpiste.core.state import RecordedTerrain, TerrainSource, Trajectory
+from offpiste.core.state import Trajectory
 from offpiste.dataset.feature_sets import FeatureSetChoice, drawn
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
-from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.dynamics.models import seeded
 from offpiste.training.checkpoint import load_beside_weights, load_weights
-from offpiste.training.prediction import Lookup, batch_for, encoded, in_parts, joined, on_map, predict_batch
+from offpiste.training.prediction import Lookup, in_parts, joined, roll_out
 from offpiste.training.run import Run, refuse_unfit
 from offpiste.uncertainty.spread import (
     Spread,
@@ -150,14 +149,7 @@ def predictions_of(
     dynamics, trajectories, residuals = run.dynamics, [], []
     for some in track(in_parts(index, windows, lookup), f"predicting with {run.folder.name}"):
         gathered = windows.gather(some, None if choose is None else choose(some))
-        batch = encoded(dynamics, batch_for(dynamics, windows, gathered))
-        source: TerrainSource = RecordedTerrain(batch.terrain)
-        if lookup == "map":
-            batch, source = on_map(dynamics, windows, some, batch)
-            start = dynamics.start(batch.history, batch.state, batch.actuators)
-            trajectory = predict_on(dynamics, start, batch.control, source)
-        else:
-            trajectory = predict_batch(dynamics, batch)
+        batch, trajectory, source = roll_out(dynamics, windows, some, lookup, gathered)
         inputs = inputs_along(dynamics.vehicle, batch.state, trajectory, batch.control, source)
         trajectories.append(trajectory)
         residuals.append(Residuals(inputs, errors_in_heading(trajectory.state, batch.target)))
