@@ -26,7 +26,7 @@ def test_percentiles_span_the_colours_of_known_patches():
 
 
 def test_moments_lie_in_the_middle_of_equal_pieces() -> None:
-    assert times_between(10.0, 18.0, 2) == (12.0, 16.0)
+    assert times_between(10.0, 18.0) == (11.0, 13.0, 15.0, 17.0)
 
 
 def test_patches_lie_beside_the_image_in_their_places():

@@ -230,15 +230,13 @@ class Windows:
         cells = under.ahead.flatten()
         return under.features[cells], under.valid[cells]
 
-    def path(
-        self, index: Int[np.ndarray, " B"], *, behind: int = 50, ahead: int = 400
-    ) -> tuple[Float[Tensor, "B P 2"], Float[Tensor, "B P 3"]]:
-        """Return the recorded path around windows, rows t - behind ... t + ahead of the same drive.
+    def path(self, index: Int[np.ndarray, " B"]) -> tuple[Float[Tensor, "B P 2"], Float[Tensor, "B P 3"]]:
+        """Return the recorded path from a second before the start of windows to eight seconds after it.
 
         Returns:
             px, py relative to each window's start [m], infinite at invalid rows; surface normals, NaN where unknown.
         """
-        rows = self.rows[index][:, None] + np.arange(-behind, ahead + 1)
+        rows = self.rows[index][:, None] + np.arange(round(-1 / DT), round(8 / DT) + 1)
         first, end = self._offset[self.drive[index]], self._offset[self.drive[index] + 1]
         inside = (rows >= first[:, None]) & (rows < end[:, None])
         near = torch.as_tensor(np.clip(rows, first[:, None], end[:, None] - 1), device=self.device)

@@ -59,9 +59,9 @@ class Album:
                 self.besides.append(beside(moment.images[number], patches, view.camera.grid))
 
 
-def times_between(start: float, end: float, count: int = MOMENTS) -> tuple[float, ...]:
-    """Return the times in the middle of equal pieces [s]."""
-    return tuple(start + (end - start) * (2 * k + 1) / (2 * count) for k in range(count))
+def times_between(start: float, end: float) -> tuple[float, ...]:
+    """Return the times in the middle of `MOMENTS` equal pieces [s]."""
+    return tuple(start + (end - start) * (2 * k + 1) / (2 * MOMENTS) for k in range(MOMENTS))
 
 
 def overlay(image: Picture, pixels: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, " n"]) -> Picture:
