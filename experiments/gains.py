@@ -15,9 +15,8 @@ from offpiste.core.files import write_text
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors, SeededErrors, by_seed, load_errors, pool, save_errors
 from offpiste.evaluation.evaluate import Reading
-from offpiste.evaluation.intervals import NO_INTERVAL, Levels, PairedDifference, Resampling, Sampling, relative
+from offpiste.evaluation.intervals import NO_INTERVAL, Levels, PairedDifference, Resampling, Sampling, percent, relative
 from offpiste.report.text_table import TextTable, number
-from offpiste.reproduction.results import percent
 from offpiste.reproduction.runs import PART, errors_of_runs
 from offpiste.training.checkpoint import sha256_of_tensors
 from offpiste.training.run import Run, refuse_seen

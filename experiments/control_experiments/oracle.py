@@ -12,9 +12,9 @@ from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.evaluate import Reading
-from offpiste.evaluation.intervals import Sampling
+from offpiste.evaluation.intervals import Sampling, percent
 from offpiste.report.text_table import TextTable
-from offpiste.reproduction.results import HINDSIGHT, MAP, percent
+from offpiste.reproduction.results import HINDSIGHT, MAP
 from offpiste.reproduction.runs import evaluation_windows
 
 ABOUT = (

@@ -3,17 +3,18 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import binomtest
 
 from experiments.inspection_faults.cost import COSTLY, UNREADABLE
 from experiments.inspection_faults.score import FaultScore, Score
-from offpiste.evaluation.intervals import MIN_UNITS, share_interval
+from offpiste.evaluation.intervals import MIN_UNITS
 
 
 def share(hits: int, count: int) -> str:
     """A share with its interval, in words."""
     if count == 0:
         return "-"
-    low, high = share_interval(hits, count)
+    low, high = binomtest(hits, count).proportion_ci(method="wilson")
     bounds = f"({low:.0%} to {high:.0%})" if count >= MIN_UNITS else f"(–: fewer than {MIN_UNITS} cases)"
     return f"{hits}/{count} = {hits / count:.0%} {bounds}"
 

@@ -14,7 +14,6 @@ from offpiste.evaluation.intervals import (
     paired,
     relative,
     resampling,
-    share_interval,
     summary,
 )
 
@@ -42,11 +41,21 @@ def test_statistics_worked_by_hand() -> None:
 def test_fewer_than_five_drives_or_blocks_of_one_drive_have_no_interval() -> None:
     values, block = np.arange(12.0), np.arange(12) % 4
     assert np.isnan(summary(values, drawn(block)).ci95).all()
-    assert np.isnan(paired(values, values + 1, drawn(block)).ci95).all()
-    assert paired(values, values + 1, drawn(block)).mean == -1.0
+    found = paired(values, values + 1, drawn(block))
+    assert (found.mean, *np.isnan(found.ci95)) == (-1.0, True, True)
     sample = nested(4, 10, 2)
     assert np.isnan(summary(np.arange(80.0), sample).ci95).all(), "blocks of four drives are not independent"
-    assert sample.levels().caveat == "–: no interval, since there are only 4 drives and 5 drives are needed."
+
+
+def test_levels_state_what_intervals_are_over() -> None:
+    sample = nested(1, 10, 2)
+    assert sample.levels(2) == Levels(1, 10, 2)
+    assert (sample.draws.sum(axis=1) == 10).all()
+    assert sample.levels(2).text() == "10 blocks of one drive, 2 seeds"
+    assert sample.levels().caveat == "Intervals are over blocks of one drive and say nothing about other drives."
+    assert nested(5, 5, 2).levels().caveat == ""
+    few = "–: no interval, since there are only 4 drives and 5 drives are needed."
+    assert nested(4, 10, 2).levels().caveat == few
 
 
 @pytest.mark.parametrize("drives", [1, 5])
@@ -60,13 +69,6 @@ def test_the_interval_of_a_distance_stays_above_zero(drives: int) -> None:
     assert 0 < low < values.mean() < high
     low, high = relative(values, 0.01 + values[::-1], sample).ci95
     assert low > -1
-
-
-@pytest.mark.parametrize("hits", [0, 3, 5])
-def test_the_interval_of_a_share_is_wilsons_from_five_cases_on(hits: int) -> None:
-    low, high = share_interval(hits, 5)
-    assert 0 <= low <= hits / 5 <= high <= 1
-    assert np.isnan(share_interval(min(hits, 4), 4)).all()
 
 
 @pytest.mark.parametrize(("drives", "per_drive"), [(1, 5), (5, 10)])
@@ -175,15 +177,6 @@ def test_models_are_compared_on_the_same_draws_of_seeds() -> None:
     assert np.ptp(summary(other, sample).ci95) > 1
     # A model with one run, as a baseline that is not trained, is the same for every seed.
     assert np.ptp(paired(other, other[0], sample).ci95) > 1
-
-
-def test_blocks_of_one_drive_are_units_and_say_so() -> None:
-    sample = nested(1, 10, 2)
-    assert sample.levels(2) == Levels(1, 10, 2)
-    assert (sample.draws.sum(axis=1) == 10).all()
-    assert sample.levels(2).text() == "10 blocks of one drive, 2 seeds"
-    assert sample.levels().caveat == "Intervals are over blocks of one drive and say nothing about other drives."
-    assert nested(5, 5, 2).levels().caveat == ""
 
 
 def test_the_order_of_windows_does_not_matter() -> None:

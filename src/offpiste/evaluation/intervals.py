@@ -15,9 +15,10 @@ from typing import Protocol, runtime_checkable
 import msgspec
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import ndtr, ndtri, stdtrit
+from scipy.special import ndtr, stdtrit
 
 from offpiste.core.conventions import DT
+from offpiste.report.text_table import interval
 
 BLOCK_SECONDS = 10.0
 """Default length of a block, twice a horizon, so that windows of every other block share no row [s]."""
@@ -78,6 +79,14 @@ class PairedDifference(msgspec.Struct, frozen=True):
 
     mean: float
     ci95: tuple[float, float]
+
+
+def percent(difference: PairedDifference, digits: int = 1) -> str:
+    """Format a relative difference and its interval in percent; a dash if it is not finite."""
+    if not np.isfinite(difference.mean):
+        return "–"
+    low, high = (100 * bound for bound in difference.ci95)
+    return f"{100 * difference.mean:+.{digits}f} % {interval((low, high), digits)}"
 
 
 @dataclass(frozen=True)
@@ -215,8 +224,8 @@ def summary(values: Float[np.ndarray, "*S n"], drawn: Resampling) -> Statistics:
     over_seeds = values.reshape(-1, values.shape[-1]).mean(axis=0)
     q1, median, q3, p90 = _quantiles(over_seeds, (0.25, 0.5, 0.75, 0.9))
     failed = not np.isfinite(values).all()
-    interval = NO_INTERVAL if failed else drawn.interval(drawn.means(values))
-    return Statistics(float(values.mean()), median, q1, q3, p90, interval)
+    ci95 = NO_INTERVAL if failed else drawn.interval(drawn.means(values))
+    return Statistics(float(values.mean()), median, q1, q3, p90, ci95)
 
 
 def paired(values: Float[np.ndarray, "*S n"], other: Float[np.ndarray, "*Q n"], drawn: Resampling) -> PairedDifference:
@@ -235,16 +244,6 @@ def relative(
         return PairedDifference(np.nan, NO_INTERVAL)
     ratios = drawn.means(values) / np.maximum(drawn.means(other), 1e-300) - 1
     return PairedDifference(float(values.mean() / other.mean() - 1), drawn.interval(ratios))
-
-
-def share_interval(hits: int, count: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share of independent cases (Wilson 1927); NaN with fewer than `MIN_UNITS` cases."""
-    if count < MIN_UNITS:
-        return NO_INTERVAL
-    z, share = ndtri(0.975), hits / count
-    middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
-    half = z / (1 + z**2 / count) * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
-    return (max(float(middle - half), 0.0), min(float(middle + half), 1.0))
 
 
 def _quantiles(values: Float[np.ndarray, " n"], at: tuple[float, ...]) -> list[float]:

@@ -390,19 +390,15 @@ def provenance(command: str, seed: int, device: torch.device | str) -> Provenanc
         seed: of the resampling.
         device: of the models.
     """
-    names = ("offpiste", "torch", "numpy", "scipy")
+    names, device = ("offpiste", "torch", "numpy", "scipy"), torch.device(device)
+    ran_on = torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
     return Provenance(
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         command=command or shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        machine=f"{_processor()}, {os.cpu_count()} cores, {platform.system()}; models ran on {_name_of(device)}",
+        machine=f"{_processor()}, {os.cpu_count()} cores, {platform.system()}; models ran on {ran_on}",
         versions={"python": platform.python_version(), **{name: version(name) for name in names}},
         seed=seed,
     )
-
-
-def _name_of(device: torch.device | str) -> str:
-    device = torch.device(device)
-    return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
 
 
 def _processor() -> str:

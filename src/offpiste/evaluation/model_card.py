@@ -8,7 +8,7 @@ import msgspec
 from offpiste.core.errors import RunError
 from offpiste.core.files import write_text
 from offpiste.core.limits import parsed, read_small
-from offpiste.evaluation.intervals import Levels, PairedDifference
+from offpiste.evaluation.intervals import Levels, PairedDifference, percent
 from offpiste.report.text_table import TextTable, interval, number
 
 CARD, PAGE = "card.json", "card.md"
@@ -122,7 +122,7 @@ def figures_table(card: ModelCard) -> TextTable:
     lines, caveats = [], dict[str, None]()
     for name, one in (("all, over all seeds", card.over_seeds), *((each.group, each) for each in card.figures)):
         error = f"{number(one.error_m.mean)} {interval(one.error_m.ci95)}"
-        against = "" if one.against_b is None else _percent(one.against_b)
+        against = "" if one.against_b is None else percent(one.against_b, 0)
         lines.append((name, str(one.windows), one.levels.text(), error, against))
         caveats[one.levels.caveat] = None
     about = (
@@ -138,9 +138,4 @@ def driving_words(driving: CourseFigures) -> str:
     low, high = driving.against_b.ci95
     shown = "" if low > 0 or high < 0 else ", so no difference is shown"
     courses = f"On {driving.courses} courses in unseen worlds"
-    return f"{courses}, its driving cost differs from that of `b` by {_percent(driving.against_b)}{shown}."
-
-
-def _percent(difference: PairedDifference) -> str:
-    low, high = (100 * bound for bound in difference.ci95)
-    return f"{100 * difference.mean:+.0f} % {interval((low, high), 0)}"
+    return f"{courses}, its driving cost differs from that of `b` by {percent(driving.against_b, 0)}{shown}."

@@ -55,7 +55,8 @@ class TextTable:
         # Unescaped, rich takes a unit in brackets for a style.
         table = Table(title=escape(self.title), title_justify="left")
         for column, name in enumerate(self.names):
-            group = f"{self.groups[(column - self.left) // self.group_width]}: " if self._grouped(column) else ""
+            grouped = bool(self.groups) and column >= self.left
+            group = f"{self.groups[(column - self.left) // self.group_width]}: " if grouped else ""
             table.add_column(escape(group + name), justify="left" if column < self.left else "right", no_wrap=True)
         for line in self.lines:
             table.add_row(*(escape(str(cell)) for cell in line))
@@ -73,9 +74,6 @@ class TextTable:
         rows = [self.names, ("---",) * len(self.names), *self.lines]
         body = [f"| {' | '.join(map(str, row))} |" for row in rows]
         return "\n".join([f"## {self.title}", self.about, "", *body]) + "\n"
-
-    def _grouped(self, column: int) -> bool:
-        return bool(self.groups) and column >= self.left
 
 
 def number(value: float, digits: int = 2) -> str:

@@ -10,14 +10,14 @@ from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.store import Dataset
 from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.evaluated_windows import share_driven_in_training
-from offpiste.evaluation.intervals import PairedDifference
+from offpiste.evaluation.intervals import PairedDifference, percent
 from offpiste.evaluation.metrics import LossUnits, ResultRow, last_rows, pooled_rows, provenance, write_metrics
 from offpiste.evaluation.report import component_table
 from offpiste.report.page import Page, picture, table_section, write_page
 from offpiste.report.text_table import TextTable, interval, number
 from offpiste.reproduction.data import driven_seconds, opened
 from offpiste.reproduction.figures import caption, fig3, fig4
-from offpiste.reproduction.results import HINDSIGHT, MAP, FigureMetrics, FigureResults, percent
+from offpiste.reproduction.results import HINDSIGHT, MAP, FigureMetrics, FigureResults
 from offpiste.reproduction.runs import PART, loss_units
 from offpiste.reproduction.settings import (
     BASELINE,

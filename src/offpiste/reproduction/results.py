@@ -11,7 +11,6 @@ from offpiste.evaluation.errors import SeededErrors, by_seed, load_errors, pool
 from offpiste.evaluation.evaluate import Reading
 from offpiste.evaluation.intervals import NO_INTERVAL, Levels, PairedDifference, Sampling, relative
 from offpiste.evaluation.metrics import Case, LossUnits, Provenance, ResultRow, RunErrors, result_rows
-from offpiste.report.text_table import interval
 from offpiste.reproduction.runs import PART, errors_path
 from offpiste.reproduction.settings import BASELINE, FigureModel, ReproductionSettings
 
@@ -140,11 +139,3 @@ def read_results(
         for reading in readings
     }
     return FigureResults(runs, Sampling())
-
-
-def percent(difference: PairedDifference) -> str:
-    """Format a relative difference and its interval in percent."""
-    if not np.isfinite(difference.mean):
-        return "–"
-    low, high = difference.ci95
-    return f"{100 * difference.mean:+.1f} % {interval((100 * low, 100 * high), 1)}"
