@@ -1,6 +1,6 @@
 """Small vehicles, windows, logs and rigs that tests of several stages share."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +12,8 @@ from torch import Tensor, nn
 from offpiste.core.conventions import ACTUATORS, CONTROL, DT
 from offpiste.core.state import History, RecordedTerrain, Terrain
 from offpiste.dataset.resample import Rows
-from offpiste.dataset.splits import parse_split
-from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
+from offpiste.dataset.splits import Split, parse_split
+from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
 from offpiste.dynamics import Hybrid, Vehicle
 from offpiste.dynamics.feature_encoder import Identity
 from offpiste.logs.log import Log, Samples, Topic
@@ -217,8 +217,30 @@ def circle_rows(rows: int, *, speed: float = 5.0, yaw_rate: float = 0.5, seed: i
     )
 
 
+def stored_dataset(
+    path: Path,
+    drives: Mapping[str, Rows],
+    split: str | Split,
+    features: tuple[str, ...] = (),
+    *,
+    rig: Rig | None = None,
+    **more: object,
+) -> Dataset:
+    """A dataset in a folder; `more` are arguments of `add_drive` for each of the drives."""
+    split = parse_split(split) if isinstance(split, str) else split
+    create(path, rig or small_rig(), split, features)
+    for name, rows in drives.items():
+        add_drive(path, name, rows, split, **{"notes": (), **more})
+    return open_dataset(path)
+
+
 def circle_dataset(path: Path, rows: Rows, split: str = "blocks:0.4,0.3,0.3") -> Dataset:
     """A dataset of one drive, without features."""
-    create(path, small_rig(), parts := parse_split(split))
-    add_drive(path, "circle", rows, parts, ())
-    return open_dataset(path)
+    return stored_dataset(path, {"circle": rows}, split)
+
+
+def dataset_in_memory(drives: Mapping[str, Rows], split: str | Split) -> Dataset:
+    """A dataset without a folder."""
+    split = parse_split(split) if isinstance(split, str) else split
+    stored = (StoredDrive(name, rows, split.label(name, rows.world_xy), ()) for name, rows in drives.items())
+    return Dataset(Path("memory"), small_rig(), split, tuple(stored))

@@ -8,7 +8,7 @@ import pytest
 import s3fs
 from fsspec.implementations.memory import MemoryFile
 
-from offpiste.cli import main
+from cli.command import run
 from offpiste.core.errors import LogError, OffpisteError
 from offpiste.core.files import check_folder
 from offpiste.core.object_store import brought, download, expanded, url_of
@@ -58,8 +58,7 @@ def test_a_folder_of_logs_is_inspected_log_by_log(bucket: str, capsys: pytest.Ca
     rows = "t,x,y,yaw\n" + "".join(f"{k / 20},{k / 10},0,0\n" for k in range(900))
     for name in ("monday", "tuesday"):
         fsspec.filesystem("memory").pipe_file(f"/b/drives/{name}.csv", rows.encode())
-    with pytest.raises(SystemExit):
-        main(["inspect", f"{bucket}/drives", "--processes", "1", "--json"])
+    run("inspect", f"{bucket}/drives", "--processes", 1, "--json")
     said = capsys.readouterr().out.splitlines()
     survey = json.loads("\n".join(line for line in said if "copied to this machine" not in line))
     assert [one["log"] for one in survey["logs"]] == [f"{bucket}/drives/{name}.csv" for name in ("monday", "tuesday")]
@@ -83,10 +82,7 @@ def test_names_that_leave_the_folder_are_refused(name: str, tmp_path: Path) -> N
 def test_what_cannot_be_reached_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(OffpisteError, match="memory://b/none: no such file or folder"), brought("memory://b/none"):
         pass
-    with pytest.raises(
-        OffpisteError,
-        match=r"reading gs:// needs another package; .*pip install '\.\[gcs\]'",
-    ):
+    with pytest.raises(OffpisteError, match=r"reading gs:// needs another package; .*pip install '\.\[gcs\]'"):
         download("gs://bucket/x", Path("x"))
     with pytest.raises(OffpisteError, match=r"nosuch://b/x: cannot be reached \(ValueError"):
         download("nosuch://b/x", Path("x"))

@@ -17,7 +17,8 @@ def test_wrapping_removes_whole_turns(angle, turns):
 
 
 def test_recorded_terrain_is_read_by_step_and_never_by_place():
-    terrain = Terrain(torch.rand(2, 5, 4, 3), torch.rand(2, 5, 4) > 0.5, torch.rand(2, 5, 4, 6))
+    drawn = torch.rand(2, 5, 4, 10, generator=torch.Generator().manual_seed(0))
+    terrain = Terrain(drawn[..., :3], drawn[..., 3] > 0.5, drawn[..., 4:])
     source = RecordedTerrain(terrain)
     for t, place in ((0, 0.0), (3, 0.0), (3, 100.0)):
         found = source.at(t, place * torch.ones(2, 6))

@@ -9,7 +9,7 @@ import pytest
 import simulated
 import zarr
 
-from factories import circle_rows, small_rig
+from factories import circle_rows, small_rig, stored_dataset
 from object_stores import s3_server
 from offpiste.core.checksums import write_checksums
 from offpiste.core.errors import DatasetError
@@ -111,11 +111,9 @@ def test_a_flipped_sign_is_a_warning_with_its_fix() -> None:
 
 
 def test_findings_are_stored_with_the_drive(tmp_path) -> None:
-    path = tmp_path / "data.zarr"
-    store.create(path, small_rig(), SPLIT)
+    path, rows = tmp_path / "data.zarr", circle_rows(2400)
     for name, found in (("a", (STEER,)), ("b", (STEER, YAW)), ("c", ())):
-        store.add_drive(path, name, circle_rows(2400, seed=1), SPLIT, (), findings=found)
-    dataset = store.open_dataset(path)
+        dataset = stored_dataset(path, {name: rows}, SPLIT, findings=found)
     assert [drive.findings for drive in dataset.drives] == [(STEER,), (STEER, YAW), ()]
     first, second = "steer is positive to the right (drive a and 1 more)", "yaw does not follow the course (drive b)"
     assert dataset.findings == (first, second)

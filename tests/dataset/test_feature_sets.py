@@ -4,51 +4,20 @@ import numpy as np
 import pytest
 
 from offpiste.core.conventions import FEATURE_SETS
-from offpiste.dataset.feature_sets import (
-    TOLERANCE,
-    Draw,
-    FeatureSetChoice,
-    FeatureSetRecorder,
-    drawn,
-    hindsight,
-    hindsight_throughout,
-    per_trajectory,
-)
+from offpiste.dataset.feature_sets import TOLERANCE, FeatureSetRecorder, drawn, per_trajectory
 from offpiste.dataset.wheel_passes import PAUSE, find_passes
 from offpiste.mapping.voxels_to_layers import MapCells
 
 STORED = len(FEATURE_SETS)
 
 
-def of(draw: Draw, count: int, *, seed: int = 0) -> FeatureSetChoice:
-    return drawn(draw, np.random.default_rng(seed), count, STORED)
-
-
 def test_dc_keeps_a_set_for_the_trajectory_and_draws_all_alike():
-    feature_set_choice = of(per_trajectory, 8000)
-    assert feature_set_choice.features.shape == (8000, 1)
-    np.testing.assert_array_equal(feature_set_choice.features[:, 0], feature_set_choice.normals)
-    counts = np.bincount(feature_set_choice.normals, minlength=STORED)
+    choice = drawn(per_trajectory, np.random.default_rng(0), 8000, STORED)
+    assert choice.features.shape == (8000, 1)
+    np.testing.assert_array_equal(choice.features[:, 0], choice.normals)
+    counts = np.bincount(choice.normals, minlength=STORED)
     assert len(counts) == STORED
     assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000)
-
-
-def test_features_of_hindsight_come_with_drawn_normals_but_for_the_papers_baseline():
-    for draw, sets in ((hindsight, STORED), (hindsight_throughout, 1)):
-        choice = of(draw, 50)
-        assert not choice.features.any()
-        assert len(np.unique(choice.normals)) == sets
-
-
-def test_models_of_a_seed_read_the_same_normals_batch_after_batch():
-    def normals(draw: Draw) -> list[np.ndarray]:
-        rng = np.random.default_rng(3)
-        return [drawn(draw, rng, count, STORED).normals for count in (40, 7, 40)]
-
-    wanted = normals(hindsight)
-    assert (wanted[0] != wanted[2]).any()
-    for mine, theirs in zip(normals(per_trajectory), wanted, strict=True):
-        np.testing.assert_array_equal(mine, theirs)
 
 
 WHEELS = np.array([[0.5, 0.3], [0.5, -0.3], [-0.5, 0.3], [-0.5, -0.3]])
@@ -117,24 +86,24 @@ def brute_force(time, xy, passes, changing: ChangingMap):
 def test_every_set_holds_what_brute_force_finds():
     time, xy = there_and_back()
     passes, changing = passes_of(time, xy), ChangingMap(0)
-    feature_sets_recorder = FeatureSetRecorder(passes, resolution=RESOLUTION, reach=REACH, features=1)
+    recorder = FeatureSetRecorder(passes, resolution=RESOLUTION, reach=REACH, features=1)
     for step in range(len(time)):
-        feature_sets_recorder.update(time[step], xy[step], changing.at(step))
+        recorder.update(time[step], xy[step], changing.at(step))
     wanted = brute_force(time, xy, passes, changing)
     assert any(step is None for step in wanted.values())
     assert any(
         len({wanted[p, 0, q] for q in ("features", "elevation", "normal")}) == 3 for p in range(len(passes.cell))
     )
     for (p, number, quantity), step in wanted.items():
-        found = getattr(feature_sets_recorder, quantity)[number, p]
+        found = getattr(recorder, quantity)[number, p]
         if step is None:
             assert np.isnan(found).all()
             continue
         held = changing.at(step)(passes.cell[p : p + 1])
         np.testing.assert_array_equal(found, getattr(held, quantity)[0].astype(found.dtype))
         if quantity == "features":
-            assert feature_sets_recorder.valid[number, p] == held.valid[0]
-            assert feature_sets_recorder.distance[number, p] == pytest.approx(held.distance[0])
+            assert recorder.valid[number, p] == held.valid[0]
+            assert recorder.distance[number, p] == pytest.approx(held.distance[0])
 
 
 def test_a_second_pass_begins_after_a_pause_and_does_not_leak_into_the_first():

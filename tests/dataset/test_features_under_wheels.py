@@ -26,14 +26,12 @@ def drive(rng: np.random.Generator, rows: int, count: int) -> Cells:
     return Cells(index, features, valid, far, far)
 
 
-def plainly(
-    cells: list[Cells], rows: np.ndarray, feature_set_choice: FeatureSetChoice
-) -> tuple[np.ndarray, np.ndarray]:
+def plainly(cells: list[Cells], rows: np.ndarray, choice: FeatureSetChoice) -> tuple[np.ndarray, np.ndarray]:
     """Features and validity at each row and wheel; NaN and false where there is no cell."""
     first = np.cumsum([0, *(len(c.index) for c in cells)])
     features = np.full((*rows.shape, 4, FEATURES), np.nan)
     valid = np.zeros((*rows.shape, 4), bool)
-    sets = np.broadcast_to(feature_set_choice.features, rows.shape)
+    sets = np.broadcast_to(choice.features, rows.shape)
     for place in np.ndindex(*rows.shape, 4):
         number = int(np.searchsorted(first, rows[place[:2]], side="right")) - 1
         mine, chosen = cells[number], int(sets[place[:2]])
@@ -52,13 +50,13 @@ def test_windows_find_what_plain_indexing_finds(table, seed, kind):
     start = np.array([n for n in (0, 3, 3, 34, 41, 58, 65, 80, 89) if rng.random() < 0.8] or [0])
     rows = start[:, None] + np.arange(6)
     shape = (len(rows), 6 if kind == "steps" else 1)
-    feature_set_choice = (
+    choice = (
         same_feature_set(len(rows), 1)
         if kind == "one"
         else FeatureSetChoice(rng.integers(0, SETS, shape), np.zeros(len(rows), int))
     )
-    under = table(cells, torch.device("cpu")).under(start, 6, feature_set_choice, history=2)
-    wanted, valid = plainly(cells, rows, feature_set_choice)
+    under = table(cells, torch.device("cpu")).under(start, 6, choice, history=2)
+    wanted, valid = plainly(cells, rows, choice)
     number = torch.cat((under.past, under.ahead), dim=1)
     assert under.past.shape[1] == 2
     np.testing.assert_array_equal(under.features[number].numpy(), wanted.astype(np.float32))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from offpiste.cli import main
+from cli.command import run
 from offpiste.core.checksums import write_checksums
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.store import open_dataset
@@ -29,9 +29,7 @@ def pickle_that_touches(file: Path) -> bytes:
 def refused(dataset: Path, capsys: pytest.CaptureFixture[str], what: str) -> None:
     with pytest.raises(DatasetError, match=what):
         open_dataset(dataset)
-    with pytest.raises(SystemExit) as ended:
-        main(["check", str(dataset)])
-    assert ended.value.code == 1
+    assert run("check", dataset) == 1
     shown = capsys.readouterr()
     assert "Traceback" not in shown.out + shown.err
 

@@ -5,16 +5,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from factories import circle_rows, small_rig
-from offpiste.dataset import store
+from factories import circle_rows, small_rig, stored_dataset
 from offpiste.dataset.ground_truth_features import with_ground_truth
-from offpiste.dataset.splits import parse_split
+from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
 from offpiste.training.prediction import encoded, on_map
 from offpiste.training.run import build, vehicle_of
 
-SPLIT = parse_split("blocks:0.5,0.25,0.25")
 NAMES = ("column", "row", "constant")
 
 
@@ -26,12 +24,11 @@ def truth(shape=(800, 700), resolution=0.25) -> TerrainMap:
     return TerrainMap(origin, resolution, z, np.stack((column, row, np.full(shape, 0.5)), axis=-1).astype(np.float32))
 
 
-def made(path: Path) -> store.Dataset:
-    store.create(path, small_rig(), SPLIT, NAMES)
+def made(path: Path, split: str = "blocks:0.5,0.25,0.25") -> Dataset:
     for number in range(2):
         grounded = with_ground_truth(circle_rows(2400, seed=number, speed=4 + number), truth(), small_rig())
-        store.add_drive(path, f"drive {number}", grounded.rows, SPLIT, (), grounded.map)
-    return store.open_dataset(path)
+        dataset = stored_dataset(path, {f"drive {number}": grounded.rows}, split, NAMES, terrain=grounded.map)
+    return dataset
 
 
 def test_cells_are_those_under_the_wheels_each_once():
@@ -78,9 +75,5 @@ def test_recorded_and_predicted_places_read_the_same_ground(tmp_path):
 
 
 def test_maps_are_kept_only_where_predictions_are_evaluated(tmp_path):
-    path, split = tmp_path / "data.zarr", parse_split("blocks:1,0,0")
-    store.create(path, small_rig(), split, NAMES)
-    grounded = with_ground_truth(circle_rows(2400), truth(), small_rig())
-    store.add_drive(path, "drive", grounded.rows, split, (), grounded.map)
-    assert store.open_dataset(path).drives[0].load_map is None
+    assert made(tmp_path / "data.zarr", "blocks:1,0,0").drives[0].load_map is None
     assert made(tmp_path / "other.zarr").drives[0].load_map().resolution == 0.25

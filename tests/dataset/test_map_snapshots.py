@@ -1,16 +1,14 @@
 """Snapshots: their cells, their windows and their files; predictions read them like the whole map."""
 
 import dataclasses
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from factories import circle_rows, small_rig
+from factories import circle_rows, small_rig, stored_dataset
 from offpiste.core.errors import DatasetError
-from offpiste.core.files import temporary_folder
 from offpiste.dataset import store
 from offpiste.dataset.ground_truth_features import with_ground_truth
 from offpiste.dataset.map_snapshots import (
@@ -85,19 +83,18 @@ def test_snapshots_keep_their_distance_and_their_number():
 
 def made(path: Path) -> store.Dataset:
     """Two drives on a whole map, the same map as snapshots beside it in one part of the windows."""
-    store.create(path, small_rig(), SPLIT, NAMES)
     for number in range(2):
         rows = with_ground_truth(circle_rows(2400, seed=number, speed=4 + number), tilted(), small_rig()).rows
         part = SPLIT.label("", rows.world_xy)
-        with temporary_folder(path / "snapshots") as folder:
-            writer = SnapshotWriter(folder / "s", 0.25, 2)
-            for row in evaluation_starts(rows, part == PARTS.index("test"))[::20]:
-                state = rows.state_causal[row].astype(np.float64)
-                state[:2] += rows.origin
-                writer.add(int(row), crop(tilted(), state))
-            writer.close()
-            store.add_drive(path, f"drive {number}", rows, SPLIT, (), tilted(), folder / "s")
-    return store.open_dataset(path)
+        writer = SnapshotWriter(path.with_suffix(".snapshots"), 0.25, 2)
+        for row in evaluation_starts(rows, part == PARTS.index("test"))[::20]:
+            state = rows.state_causal[row].astype(np.float64)
+            state[:2] += rows.origin
+            writer.add(int(row), crop(tilted(), state))
+        writer.close()
+        maps = {"terrain": tilted(), "snapshots": path.with_suffix(".snapshots")}
+        dataset = stored_dataset(path, {f"drive {number}": rows}, SPLIT, NAMES, **maps)
+    return dataset
 
 
 def test_predictions_read_snapshots_as_they_read_the_whole_map(tmp_path):
@@ -127,19 +124,11 @@ def test_predictions_read_snapshots_as_they_read_the_whole_map(tmp_path):
     assert (read(windows).at(0, far).latent == -1).all()
 
 
-def test_a_dataset_says_that_its_snapshots_are_damaged(tmp_path):
-    path = made(tmp_path / "d.zarr").path
-    shutil.rmtree(path / "drive 1" / "snapshots" / "features" / "c")
-    with pytest.raises(DatasetError, match="drive 'drive 1' cannot be read"):
-        store.open_dataset(path)
-
-
-@pytest.mark.parametrize(
-    "settings", [{"seconds": np.nan}, {"seconds": -1.0}, {"min_speed": -1.0}, {"min_speed": np.nan}]
-)
-def test_impossible_settings_are_refused(settings: dict[str, float]) -> None:
+@pytest.mark.parametrize("value", [np.nan, -1.0])
+@pytest.mark.parametrize("name", ["seconds", "min_speed"])
+def test_impossible_settings_are_refused(name: str, value: float) -> None:
     with pytest.raises(DatasetError, match="give a"):
-        SnapshotSettings(**settings)
+        SnapshotSettings(**{name: value})
 
 
 def test_a_snapshot_reaches_as_far_as_five_seconds_and_a_margin():
@@ -158,14 +147,12 @@ def test_a_snapshot_reaches_as_far_as_five_seconds_and_a_margin():
 
 def holed(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[TerrainMap, CellList]:
     """A map with random holes, and the list of its cells."""
-    known = rng.random(shape) < 0.9
+    known, origin = rng.random(shape) < 0.9, rng.uniform(-20, 20, 2)
     flat = np.where(known, 0.0, np.nan).astype(np.float32)
-    features = np.where(known[..., None] & (rng.random(shape) < 0.8)[..., None], rng.normal(size=(*shape, 3)), np.nan)
+    seen = known & (rng.random(shape) < 0.8)
+    features = np.where(seen[..., None], rng.normal(size=(*shape, 3)), np.nan).astype(np.float16)
     rise = np.where(known[..., None], rng.normal(size=(*shape, 2)), np.nan).astype(np.float16)
-    origin = rng.uniform(-20, 20, 2)
-    row, column = np.nonzero(known)
-    place = (row * shape[1] + column).astype(np.int32)
-    features = features.astype(np.float16)
+    place = np.flatnonzero(known).astype(np.int32)
     cells = CellList(origin, shape, place, flat[known], rise[known], features[known])
     return TerrainMap(origin, 0.25, flat, features, rise), cells
 
@@ -181,25 +168,3 @@ def test_lists_of_cells_are_read_as_the_maps_they_are_lists_of():
     assert 100 < one.known.sum() < one.valid.sum() < 2000
     for name in ("normal", "known", "features", "valid"):
         torch.testing.assert_close(getattr(other, name), getattr(one, name), rtol=0, atol=0, equal_nan=True)
-
-
-def test_cells_near_a_path_are_those_within_the_margin():
-    rng = np.random.default_rng(1)
-    terrain, cells = holed(rng, (80, 120))
-    path = terrain.origin + np.array([[5.0, 5.0], [8.0, 9.0], [11.0, 10.0]])
-    near = cells.near(path, 3.0, 0.25)
-    assert near.shape[0] < 60
-    found, wanted = near.terrain_map(0.25), terrain
-    shift = np.round((found.origin - wanted.origin) / 0.25).astype(int)
-    row, column = np.mgrid[:80, :120]
-    centres = terrain.origin + 0.25 * np.stack((column, row), axis=-1)
-    within = np.hypot(*(centres[:, :, None] - path).transpose(3, 0, 1, 2)).min(axis=-1) <= 3.0
-    expected = np.where(within[..., None], wanted.features, np.nan)
-    there = np.full_like(expected, np.nan)
-    ny, nx = found.elevation.shape
-    there[shift[1] : shift[1] + ny, shift[0] : shift[0] + nx] = found.features
-    np.testing.assert_array_equal(there, expected)
-    assert len(near.place) == (within & np.isfinite(wanted.elevation)).sum()
-    nowhere = cells.near(path + 1000.0, 3.0, 0.25)
-    assert nowhere.shape == (1, 1)
-    assert not len(nowhere.place)

@@ -3,7 +3,6 @@
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from offpiste.core.checksums import CHECKSUMS
@@ -41,22 +40,17 @@ def content(path: Path) -> dict[str, bytes]:
     return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
 
 
-def test_merged_shards_are_what_one_process_makes(folder, shards, tmp_path):
+def test_merged_shards_are_what_one_process_makes_also_after_an_interruption(folder, shards, tmp_path):
     assert [drive_names(shard) for shard in shards] == [["drive-0", "drive-2"], ["drive-1"]]
     out = tmp_path / "merged" / "dataset.zarr"
     dataset = merge_datasets(shards, out)
     assert [drive.name for drive in dataset.drives] == ["drive-0", "drive-1", "drive-2"]
     assert content(out) == content(folder / "whole.zarr")
-
-
-def test_an_interrupted_merge_resumes(folder, shards, tmp_path):
-    out = tmp_path / "dataset.zarr"
-    merge_datasets(shards, out)
     shutil.rmtree(out / "drive-2")
     (out / ".drive-2.abc.partial").mkdir()
     merge_datasets(shards, out)
     assert content(out) == content(folder / "whole.zarr")
-    assert sorted(path.name for path in out.iterdir() if path.name.startswith(".")) == []
+    assert not list(out.glob(".*"))
 
 
 def test_what_does_not_fit_together_is_refused(folder, shards, tmp_path):
@@ -83,9 +77,9 @@ def test_a_drive_without_checksums_is_another_drive(shards, tmp_path):
 
 def test_a_damaged_shard_is_found_before_anything_is_merged(shards, tmp_path):
     (chunk,) = [file for file in (shards[1] / "drive-1" / "state").rglob("c/*/*") if file.is_file()]
-    damaged = np.frombuffer(chunk.read_bytes(), np.uint8).copy()
+    damaged = bytearray(chunk.read_bytes())
     damaged[len(damaged) // 2] ^= 4
-    chunk.write_bytes(damaged.tobytes())
+    chunk.write_bytes(damaged)
     with pytest.raises(DatasetError, match=r"drive-1.*nothing was merged"):
         merge_datasets(shards, tmp_path / "d.zarr")
     assert not (tmp_path / "d.zarr").exists()

@@ -123,18 +123,21 @@ def test_no_row_is_valid_across_a_jump_of_a_yaw_channel(turn):
     assert rows.valid[(rows.time > 1) & (rows.time < 9) | (rows.time > 11) & (rows.time < 19)].all()
 
 
-def test_a_log_without_one_complete_second_is_an_error():
-    with pytest.raises(LogError, match=r"no second of it has all channels.*max_gap"):
-        extracted(RIG + "[clock]\nmax_gap = 0.001\n")
+VELOCITY = '[channels.linear_velocity]\ntopic = "odometry"\nfields = ["x", "y", "z"]\nframe = "world"\n'
 
 
-def test_a_pose_too_slow_for_the_window_is_an_error_that_names_the_window():
-    with pytest.raises(LogError, match=r"motion\.window"):
-        extracted(RIG + "[motion]\nwindow = 0.3\n", rate=10.0)
+@pytest.mark.parametrize(
+    ("text", "rate", "said"),
+    [
+        (RIG + "[clock]\nmax_gap = 0.001\n", 50.0, r"no second of it has all channels.*max_gap"),
+        (RIG + "[motion]\nwindow = 0.3\n", 10.0, r"motion\.window"),
+        (WITH_ANGLE + VELOCITY, 10.0, r"steer_angle: too few samples.*motion\.window"),
+    ],
+)
+def test_a_log_too_sparse_for_the_settings_is_an_error_that_names_them(text, rate, said):
+    with pytest.raises(LogError, match=said):
+        extracted(text, rate=rate)
+
+
+def test_a_wider_window_accepts_a_slower_pose():
     assert extracted(RIG + "[motion]\nwindow = 0.6\n", rate=10.0).valid.mean() > 0.9
-
-
-def test_an_angle_too_slow_for_its_rate_is_an_error_that_names_the_window():
-    text = WITH_ANGLE + '[channels.linear_velocity]\ntopic = "odometry"\nfields = ["x", "y", "z"]\nframe = "world"\n'
-    with pytest.raises(LogError, match=r"steer_angle: too few samples.*motion\.window"):
-        extracted(text, rate=10.0)

@@ -1,11 +1,10 @@
 """Comparison of the parts of a split, and proposals of better splits."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from factories import circle_rows, small_rig
+from factories import circle_rows, dataset_in_memory
 from offpiste.dataset.extract import described
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.split_balance import (
@@ -17,7 +16,7 @@ from offpiste.dataset.split_balance import (
     split_warning,
 )
 from offpiste.dataset.splits import parse_split
-from offpiste.dataset.store import Dataset, StoredDrive
+from offpiste.dataset.store import Dataset
 
 
 def at_speed(speed: np.ndarray, turning: np.ndarray | None = None) -> Rows:
@@ -30,9 +29,7 @@ def at_speed(speed: np.ndarray, turning: np.ndarray | None = None) -> Rows:
 
 
 def dataset(rows: Rows, split: str = "blocks:0.7,0.1,0.2") -> Dataset:
-    parsed = parse_split(split)
-    part = parsed.label("drive", rows.state[:, :2] + rows.origin)
-    return Dataset(Path("memory"), small_rig(), parsed, (StoredDrive("drive", rows, part, ()),))
+    return dataset_in_memory({"drive": rows}, split)
 
 
 def wandering(count: int, seed: int = 0) -> np.ndarray:

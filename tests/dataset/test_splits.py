@@ -1,6 +1,7 @@
 """Splits: parts never share a row, keep their distance, and folds cover everything once."""
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,12 +12,7 @@ from factories import RIG, MemoryLog
 from offpiste.core.conventions import HISTORY_STEPS, HORIZON_STEPS
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.fit_pca import fit_pca
-from offpiste.dataset.splits import (
-    GAP,
-    PARTS,
-    parse_split,
-    refuse_places_without_origin,
-)
+from offpiste.dataset.splits import GAP, PARTS, Split, parse_split, refuse_places_without_origin
 from offpiste.dataset.window_starts import window_starts
 from offpiste.inspection.extract import extract
 from offpiste.logs.channel import read_channel
@@ -76,9 +72,8 @@ def test_blocks_repeat_every_period():
 
 
 def test_blocks_too_short_for_windows_are_refused_with_the_least():
-    with pytest.raises(
-        DatasetError, match=r"@60: blocks of 60 s leave 6\.0 s for the smallest part; give @104 or more"
-    ):
+    said = r"@60: blocks of 60 s leave 6\.0 s for the smallest part; give @104 or more"
+    with pytest.raises(DatasetError, match=said):
         parse_split("blocks:0.7,0.1,0.2@60")
     assert parse_split("blocks:0.7,0.1,0.2@104").period == 104.0
 
@@ -96,18 +91,16 @@ def test_folds_test_every_row_once_but_for_gaps(total):
 
 
 def test_a_place_has_one_part_in_every_drive_and_on_every_pass():
-    split = parse_split("places:50")
-    there, back = wandering(6000, 1), wandering(6000, 1)[::-1]
-    ours, others = split.label("there", there), split.label("back", back.copy())[::-1]
+    split, there = parse_split("places:50"), wandering(6000, 1)
+    ours, others = split.label("there", there), split.label("back", there[::-1].copy())[::-1]
     both = (ours >= 0) & (others >= 0)
     assert both.sum() > 500
     assert (ours[both] == others[both]).all()
 
 
 def geographic_rig(more: str = "") -> Rig:
-    return parse_rig(
-        RIG.replace("[channels.orientation]", f'unit = "lat lon"\n{more}[channels.orientation]', 1), where=""
-    )
+    text = RIG.replace("[channels.orientation]", f'unit = "lat lon"\n{more}[channels.orientation]', 1)
+    return parse_rig(text, where="")
 
 
 def test_a_place_in_degrees_has_one_part_in_every_drive():
@@ -130,9 +123,7 @@ def test_a_place_in_degrees_has_one_part_in_every_drive():
 
 
 def test_places_in_degrees_without_a_common_origin_are_refused_in_one_line(tmp_path):
-    message = (
-        r"places:50: positions in 'lat lon' have an origin of each log.*; give channels.position.origin in the rig"
-    )
+    message = "places:50: positions in 'lat lon' have an origin of each log.*; give channels.position.origin in the rig"
     with pytest.raises(DatasetError, match=message):
         extract(["one.csv"], geographic_rig(), tmp_path / "d.zarr", split="places:50")
     with pytest.raises(DatasetError, match=message):
@@ -151,29 +142,31 @@ def test_what_is_no_split_is_an_error_that_shows_one(text):
         parse_split(text)
 
 
+def drives_in(folder: Path, content: str) -> Split:
+    (folder / "split.txt").write_text(content)
+    return parse_split(f"drives:{folder / 'split.txt'}")
+
+
 def test_drives_go_where_their_file_says(tmp_path):
-    path = tmp_path / "split.txt"
-    path.write_text("monday train\n\nfriday test\n")
-    split = parse_split(f"drives:{path}")
+    split = drives_in(tmp_path, "monday train\n\nfriday test\n")
     assert (split.label("monday", wandering(10)) == 0).all()
     assert (split.label("friday", wandering(10)) == 2).all()
     with pytest.raises(DatasetError, match="names no part for drive 'sunday'"):
         split.label("sunday", wandering(10))
 
 
-def test_a_drive_that_is_in_two_parts_is_an_error(tmp_path):
-    path = tmp_path / "split.txt"
-    path.write_text("monday train\nmonday train\nmonday test\n")
-    with pytest.raises(DatasetError, match="line 3 puts drive 'monday' into test, an earlier one into train"):
-        parse_split(f"drives:{path}")
-
-
-@pytest.mark.parametrize("content", ["monday\n", "monday train extra\n", "monday exam\n"])
-def test_a_wrong_line_of_a_split_file_is_named(tmp_path, content):
-    path = tmp_path / "split.txt"
-    path.write_text("sunday train\n" + content)
-    with pytest.raises(DatasetError, match=r"split\.txt: line 2 is not 'NAME PART'"):
-        parse_split(f"drives:{path}")
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        *((f"sunday train\n{wrong}\n", r"split\.txt: line 2 is not 'NAME PART'")
+          for wrong in ("monday", "monday train extra", "monday exam")),
+        ("monday train\nmonday train\nmonday test\n",
+         "line 3 puts drive 'monday' into test, an earlier one into train"),
+    ],
+)  # fmt: skip
+def test_a_wrong_line_of_a_split_file_is_named(tmp_path, content, said):
+    with pytest.raises(DatasetError, match=said):
+        drives_in(tmp_path, content)
 
 
 def test_a_split_file_that_is_missing_is_an_error(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import zarr
 
-from factories import circle_rows, small_rig
+from factories import circle_rows, small_rig, stored_dataset
 from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.core.errors import DatasetError, OffpisteError
 from offpiste.dataset import store
@@ -17,18 +17,15 @@ SPLIT = parse_split("blocks:0.5,0.25,0.25")
 
 
 def stored(tmp_path: Path, names: tuple[str, ...] = ("one", "two")) -> Path:
-    path = tmp_path / "data.zarr"
-    store.create(path, small_rig(), SPLIT)
-    for number, name in enumerate(names):
-        store.add_drive(path, name, circle_rows(2400, seed=number), SPLIT, ("a note",))
-    return path
+    rows = {name: circle_rows(2400, seed=number) for number, name in enumerate(names)}
+    return stored_dataset(tmp_path / "data.zarr", rows, SPLIT, notes=("a note",)).path
 
 
 def assert_same(found: Rows, wanted: Rows) -> None:
-    for key in ("time", "origin", "state", "state_causal", "actuators", "control", "normal", "valid"):
-        ours, theirs = getattr(found, key), getattr(wanted, key)
+    for ours, theirs in zip(found.arrays().values(), wanted.arrays().values(), strict=True):
         np.testing.assert_array_equal(ours, theirs)
         assert ours.dtype == theirs.dtype
+    np.testing.assert_array_equal(found.origin, wanted.origin)
 
 
 def test_what_is_stored_is_read_back_as_it_was(tmp_path):
@@ -41,12 +38,6 @@ def test_what_is_stored_is_read_back_as_it_was(tmp_path):
         assert drive.notes == ("a note",)
     assert dataset.rig == small_rig()
     assert dataset.split == SPLIT
-
-
-def test_a_dataset_says_in_a_line_what_is_in_it(tmp_path):
-    dataset = store.open_dataset(stored(tmp_path))
-    assert repr(dataset).splitlines()[1] == "  2 drives, 1.6 min, 0 features of the ground"
-    assert len(repr(dataset.drives)) < 300
 
 
 def test_folds_relabel_the_same_rows_without_snapshots(tmp_path):
@@ -86,42 +77,27 @@ def test_a_drive_is_not_overwritten_by_another_of_the_same_name(tmp_path):
         store.add_drive(path, "one", circle_rows(600), SPLIT, ())
 
 
-def chunk_of(path: Path, key: str) -> Path:
-    (chunk,) = [file for file in (path / "two" / key / "c").rglob("*") if file.is_file()]
-    return chunk
-
-
 @pytest.mark.parametrize("key", ["state", "part", "normal"])
-@pytest.mark.parametrize("damage", ["missing", "empty", "cut short", "flipped"])
-def test_a_damaged_chunk_is_an_error_in_one_line(tmp_path, key, damage):
+@pytest.mark.parametrize("left", [None, 0, -1])
+def test_a_missing_or_cut_chunk_is_an_error_in_one_line(tmp_path, key, left):
     path = stored(tmp_path)
-    chunk = chunk_of(path, key)
-    content = bytearray(chunk.read_bytes())
-    if damage == "missing":
-        chunk.unlink()
-    elif damage == "flipped":
-        content[len(content) // 2] ^= 1
-        chunk.write_bytes(content)
-    else:
-        chunk.write_bytes(content[: -1 if damage == "cut short" else 0])
+    (chunk,) = [file for file in (path / "two" / key / "c").rglob("*") if file.is_file()]
+    content = chunk.read_bytes()
+    chunk.unlink() if left is None else chunk.write_bytes(content[:left])
     with pytest.raises(DatasetError, match=rf"drive 'two' cannot be read.*{key}.*extract") as error:
         store.open_dataset(path)
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("file", ["zarr.json", "one/zarr.json", "one/state/zarr.json", "one/checksums.json"])
-@pytest.mark.parametrize("damage", ["missing", "changed", "{", "folder"])
+@pytest.mark.parametrize("damage", ["missing", "{", "folder"])
 def test_damaged_metadata_are_an_error_that_names_the_file(tmp_path, file, damage):
     path = stored(tmp_path)
-    content = (path / file).read_text()
-    if damage in ("missing", "folder"):
-        (path / file).unlink()
+    (path / file).unlink()
     if damage == "folder":
         (path / file).mkdir()
     elif damage != "missing":
-        place = content.rindex("0")
-        changed = content[:place] + "1" + content[place + 1 :]
-        (path / file).write_text(changed if damage == "changed" else damage)
+        (path / file).write_text(damage)
     with pytest.raises(DatasetError, match=rf"{file}.*(is damaged|is missing|has invalid metadata)"):
         store.open_dataset(path)
 
@@ -161,9 +137,7 @@ def test_another_schema_is_an_error(tmp_path, schema):
 
 def test_all_zeros_are_stored_and_read(tmp_path):
     """Zarr leaves chunks of nothing but zeros out by default; here they could not be told from missing ones."""
-    path = tmp_path / "data.zarr"
-    store.create(path, small_rig(), SPLIT)
     rows = circle_rows(600)
     rows.control[:] = 0
-    store.add_drive(path, "still", rows, SPLIT, ())
-    assert (store.open_dataset(path).drives[0].rows.control == 0).all()
+    (drive,) = stored_dataset(tmp_path / "data.zarr", {"still": rows}, SPLIT).drives
+    assert (drive.rows.control == 0).all()

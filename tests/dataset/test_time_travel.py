@@ -11,11 +11,11 @@ import pyarrow.parquet
 import pytest
 import torch
 from msgspec import structs
-from rosbags import rosbag1, rosbag2
+from rosbags import rosbag2
 from rosbags.rosbag2.enums import StoragePlugin
 from scipy.spatial.transform import Rotation
 
-from bag_files import ROS1, ROS2
+from bag_files import ROS2
 from factories import RIG
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.resample import Rows, extract_rows
@@ -83,8 +83,7 @@ def driven(change: str = "") -> Topics:
             stamps[late] += rng.uniform(0, 0.004, late.sum())
             late &= rng.random(len(late)) < 0.2
         kept = ~late if change == "stamps" else (stamps < CHANGE) | (stamps > CHANGE + 1) | (change != "gap")
-        stamps, rows = stamps[kept], rows[kept]
-        topics[name] = stamps, rows
+        topics[name] = stamps[kept], rows[kept]
     return topics
 
 
@@ -93,41 +92,31 @@ def paths(topic: str) -> list[str]:
     return [path.format(axis) for path, names in zip(pattern.split(), axes, strict=True) for axis in names]
 
 
-def messages(store, topics: Topics):
+def messages(topics: Topics):
     """Stamp [ns], topic, type and message of every sample, in the order of time."""
+    types = {name.rpartition("/")[2]: type_ for name, type_ in ROS2.types.items()}
     for at, topic, row in sorted((t, name, i) for name, (time, _) in topics.items() for i, t in enumerate(time)):
         kind, values = STAMPED[topic][0], topics[topic][1][row]
         ns, numbers = round(at * 1e9), dict(zip(paths(topic), values.tolist(), strict=True))
 
         def part(kind: str, path: str, numbers=numbers):
-            names = "xyzw" if kind.endswith("Quaternion") else "xyz"
-            return store.types[f"geometry_msgs/msg/{kind}"](**{n: numbers.get(f"{path}.{n}", 0.0) for n in names})
+            names = "xyzw" if kind == "Quaternion" else "xyz"
+            return types[kind](**{n: numbers.get(f"{path}.{n}", 0.0) for n in names})
 
-        stamp = store.types["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
-        sequence = {"seq": row} if store is ROS1 else {}
-        header = store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="map", **sequence)
+        header = types["Header"](stamp=types["Time"](sec=ns // 10**9, nanosec=ns % 10**9), frame_id="map")
         if topic == "odom":
-            position, orientation = part("Point", "pose.position"), part("Quaternion", "pose.orientation")
-            pose = store.types["geometry_msgs/msg/Pose"](position=position, orientation=orientation)
-            yield ns, topic, kind, store.types[kind](header=header, pose=pose)
+            pose = types["Pose"](part("Point", "pose.position"), part("Quaternion", "pose.orientation"))
+            yield ns, topic, kind, ROS2.types[kind](header, pose)
         else:
-            linear, angular = part("Vector3", "twist.linear"), part("Vector3", "twist.angular")
-            twist = store.types["geometry_msgs/msg/Twist"](linear=linear, angular=angular)
-            yield ns, topic, kind, store.types[kind](header=header, twist=twist)
-
-
-def bag(path: Path, topics: Topics) -> None:
-    with rosbag1.Writer(path) as writer:
-        known = {name: writer.add_connection(f"/{name}", STAMPED[name][0], typestore=ROS1) for name in topics}
-        for ns, topic, kind, message in messages(ROS1, topics):
-            writer.write(known[topic], ns, ROS1.serialize_ros1(message, kind))
+            twist = types["Twist"](part("Vector3", "twist.linear"), part("Vector3", "twist.angular"))
+            yield ns, topic, kind, ROS2.types[kind](header, twist)
 
 
 def ros2(storage: StoragePlugin) -> Callable[[Path, Topics], None]:
     def write(path: Path, topics: Topics) -> None:
         with rosbag2.Writer(path, version=9, storage_plugin=storage) as writer:
             known = {name: writer.add_connection(f"/{name}", STAMPED[name][0], typestore=ROS2) for name in topics}
-            for ns, topic, kind, message in messages(ROS2, topics):
+            for ns, topic, kind, message in messages(topics):
                 writer.write(known[topic], ns, ROS2.serialize_cdr(message, kind))
 
     return write
@@ -156,21 +145,6 @@ def table(write: Callable[[pa.Table, Path], None]) -> Callable[[Path, Topics], N
     return whole
 
 
-def kitti(path: Path, topics: Topics) -> None:
-    """Poses alone, as latitudes and longitudes."""
-    (path / "oxts" / "data").mkdir(parents=True)
-    time, (x, y, z, *quaternion) = topics["odom"][0], topics["odom"][1].T
-    stamps = np.round(time * 1e9).astype(np.int64).astype("datetime64[ns]")
-    (path / "oxts" / "timestamps.txt").write_text("\n".join(str(stamp).replace("T", " ") for stamp in stamps))
-    euler = np.unwrap(2 * np.arctan2(quaternion[2], quaternion[3]))
-    degrees = np.rad2deg(1 / 6378137.0)
-    rates = np.diff(np.stack((y, x, z, euler)), axis=1, prepend=0.0) / np.diff(time, prepend=0.0)
-    for row in range(len(time)):
-        values = [y[row] * degrees, x[row] * degrees, z[row], 0.0, 0.0, euler[row], *24 * [0.0]]
-        values[6:8], values[10], values[19] = rates[:2, row].tolist(), rates[2, row], rates[3, row]
-        (path / "oxts" / "data" / f"{row:010}.txt").write_text(" ".join(map(repr, map(float, values))))
-
-
 def rig_of(name: Callable[[str, str], str], topic: str = 'topic = "{}"\n') -> Rig:
     """A rig for a format, by how it names a topic's fields."""
     text = "\n".join(line for line in RIG.split("[channels")[0].split("\n") if not line.startswith("absent"))
@@ -184,13 +158,11 @@ ROS = rig_of(lambda topic, field: paths(topic)[FIELDS[topic].index(field)], 'top
 NUMBERED = rig_of(lambda topic, field: str(FIELDS[topic].index(field)))
 NAMED = rig_of(lambda topic, field: field, "")
 FORMATS: dict[str, tuple[str, Rig, Callable[[Path, Topics], None]]] = {
-    "bag": ("drive.bag", ROS, bag),
     "mcap": ("drive", ROS, ros2(StoragePlugin.MCAP)),
     "db3": ("drive", ROS, ros2(StoragePlugin.SQLITE3)),
     "tartandrive": ("drive", NUMBERED, tartandrive),
     "csv": ("drive.csv", NAMED, table(pa.csv.write_csv)),
     "parquet": ("drive.parquet", NAMED, table(pa.parquet.write_table)),
-    "kitti": ("drive_sync", load_rig("kitti"), kitti),
 }
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
+from cli.command import run
 from log_messages import logged
-from offpiste.cli import main
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.errors import DatasetError, LogError
 from offpiste.dataset.fit_pca import fit_pca
@@ -32,11 +32,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("visual")
     world = WorldSettings("mojave", seed=3, size=120.0, resolution=0.5)
     simulate(DriveSettings(world, 12.0, seed=1, sensors="light"), folder / "drive.mcap")
-    options = {"--rig": "proving_ground", "--backbone": "filterbank", "--images": "6", "--components": "12"}
-    options |= {"--split": "blocks:1,0,0", "--out": str(folder / "pca.safetensors")}
-    with pytest.raises(SystemExit) as exit_:
-        main(["fit-pca", str(folder / "drive.mcap"), *(word for pair in options.items() for word in pair)])
-    assert not exit_.value.code
+    options = "--rig proving_ground --backbone filterbank --images 6 --components 12 --split blocks:1,0,0 --out"
+    assert run("fit-pca", folder / "drive.mcap", *options.split(), folder / "pca.safetensors") == 0
     assert len((folder / "pca.images.txt").read_text().splitlines()) == 6
     return folder
 
@@ -45,13 +42,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def dataset(folder: Path) -> Dataset:
     (folder / "parts.txt").write_text("drive test\n")
     with logged() as said:
-        made = extract(
-            [folder / "drive.mcap"],
-            load_rig("proving_ground"),
-            folder / "data.zarr",
-            split=f"drives:{folder / 'parts.txt'}",
-            pca=folder / "pca.safetensors",
-        )
+        logs, split, pca = [folder / "drive.mcap"], f"drives:{folder / 'parts.txt'}", folder / "pca.safetensors"
+        made = extract(logs, load_rig("proving_ground"), folder / "data.zarr", split=split, pca=pca)
     found = [line for line in said if "compil" not in line]  # kernels may be compiled here or in another process
     assert "leaves nothing for train and validation" in found[0]
     assert "valid by distance: hindsight" in found[1]
@@ -124,10 +116,9 @@ def test_what_cannot_be_extracted_ends_in_one_line_and_good_drives_stay(folder: 
     with pytest.raises(LogError, match="LiDAR"):
         extract([tmp_path / "blind.mcap"], rig, tmp_path / "d.zarr", pca=pca, force=True)
     (tmp_path / "bad.mcap").write_bytes(b"nonsense")
+    both = [tmp_path / f"{name}.mcap" for name in ("bad", "blind")]
     with pytest.raises(LogError, match=r"bad\.mcap"):
-        extract(
-            [tmp_path / f"{name}.mcap" for name in ("bad", "blind")], rig, tmp_path / "d.zarr", processes=2, force=True
-        )
+        extract(both, rig, tmp_path / "d.zarr", processes=2, force=True)
     (tmp_path / "d.zarr" / ".blind.x.partial").mkdir()  # as a killed run leaves it
     with logged() as said:
         extract([tmp_path / "blind.mcap"], rig, tmp_path / "d.zarr", force=True)

@@ -1,11 +1,9 @@
 """Windows against a slow loop over rows, the rows that no window may touch, and the speed at which windows start."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from factories import circle_rows, small_rig
+from factories import circle_rows, dataset_in_memory
 from offpiste.core.conventions import (
     FEATURE_SETS,
     HISTORY_STEPS,
@@ -16,21 +14,15 @@ from offpiste.core.conventions import (
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.resample import Rows
-from offpiste.dataset.splits import PARTS, parse_split
-from offpiste.dataset.store import Dataset, StoredDrive
+from offpiste.dataset.splits import PARTS
+from offpiste.dataset.store import Dataset
 from offpiste.dataset.window_starts import enough_hindsight
 from offpiste.dataset.windows import Windows
 from offpiste.rig.rig import load_rig, preset_names
 
-SPLIT = parse_split("blocks:0.5,0.25,0.25")
-
 
 def dataset(*drives: Rows) -> Dataset:
-    stored = tuple(
-        StoredDrive(f"drive {i}", rows, SPLIT.label("", rows.state[:, :2] + rows.origin), ())
-        for i, rows in enumerate(drives)
-    )
-    return Dataset(Path("memory"), small_rig(), SPLIT, stored)
+    return dataset_in_memory({f"drive {number}": rows for number, rows in enumerate(drives)}, "blocks:0.5,0.25,0.25")
 
 
 TWO = dataset(circle_rows(2400, seed=1), circle_rows(2600, speed=3.0, yaw_rate=-0.4, seed=2))
@@ -102,16 +94,11 @@ def test_windows_start_above_the_speed_by_the_causal_estimate():
         Windows(dataset(rows), "train", min_speed=9.0)
 
 
-def cells(index: list[list[int]], hindsight: list[bool], sets: int = len(FEATURE_SETS)) -> Cells:
-    count = len(hindsight)
-    valid = np.zeros((sets, count), bool)
-    valid[0] = hindsight
-    unknown = np.full((sets, count), np.nan, np.float32)
-    return Cells(np.array(index, np.int32), np.zeros((sets, count, 1), np.float16), valid, unknown, unknown)
-
-
 def test_windows_with_enough_of_it():
-    seen = cells([[0] * 4] * 3 + [[1] * 4] * 3, [True, False])
+    valid, unknown = np.zeros((len(FEATURE_SETS), 2), bool), np.full((len(FEATURE_SETS), 2), np.nan, np.float32)
+    valid[0, 0] = True
+    index = np.repeat(np.array([[0], [1]], np.int32), 3, axis=0).repeat(4, axis=1)
+    seen = Cells(index, np.zeros((*valid.shape, 1), np.float16), valid, unknown, unknown)
     # Windows of two rows; the last one ends with the drive.
     np.testing.assert_array_equal(enough_hindsight(seen, 0.5, horizon=2), [True, True, True, False, False, False])
     np.testing.assert_array_equal(enough_hindsight(seen, 1.0, horizon=2), [True, True, False, False, False, False])

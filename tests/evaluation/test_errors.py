@@ -1,20 +1,17 @@
 """Prediction errors after each second, pooled over runs, and their files."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from factories import COMMANDED, RIG, circle_rows
+from factories import COMMANDED, circle_rows, dataset_in_memory
 from offpiste.core.conventions import DT
 from offpiste.core.errors import RunError
-from offpiste.core.state import ModelState
 from offpiste.dataset.splits import Split
-from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
-from offpiste.dynamics import ConstantMotion
+from offpiste.dynamics import ConstantMotion, Dynamics
 from offpiste.evaluation.errors import (
     Errors,
     by_seed,
@@ -25,40 +22,29 @@ from offpiste.evaluation.errors import (
     save_errors,
     trajectories,
 )
-from offpiste.rig.rig import parse_rig
 from offpiste.training import prediction
-from window_errors import BASE
+from window_errors import BASE, changed
 
 UNITS = {"scale": torch.tensor([4.0, 1.0, 1.0, 1.0, 1.0]), "weights": torch.ones(5)}
 
 
-def circling(start: str = "smoothed", rows: int = 600, **change) -> Windows:
-    drive = StoredDrive("circle", replace(circle_rows(rows), **change), np.full(rows, 2, dtype=np.int8), ())
+def circling(start: str = "smoothed") -> Windows:
     split = Split("all", "drives", drives=(("circle", "test"),))
-    return Windows(Dataset(Path("nowhere"), parse_rig(RIG, where="test"), split, (drive,)), "test", start=start)
+    return Windows(dataset_in_memory({"circle": circle_rows(600)}, split), "test", start=start)
 
 
-class Off(ConstantMotion):
-    """Constant motion whose states are off by a given amount at every step after the first."""
+def off(*by: float) -> Dynamics:
+    """Constant motion whose states are off by a given amount at every step."""
+    return changed(ConstantMotion, lambda moved, before, step: moved + torch.tensor(by))
 
-    def __init__(self, by: list[float]) -> None:
-        super().__init__(COMMANDED)
-        self.by = torch.tensor(by)
 
-    def stepper(self):
-        move = super().stepper()
-
-        def step(model_state, control, terrain):
-            moved = move(model_state, control, terrain)
-            return ModelState(moved.state + self.by, moved.actuators, moved.recurrent)
-
-        return step
+def errors_of(model: Dynamics, windows: Windows) -> Errors:
+    return prediction_errors(model, windows, windows.every(100), lookup=None, **UNITS)
 
 
 def test_a_perfect_model_has_no_errors() -> None:
     """A circle at constant speed is what `ctrv` assumes; forward Euler leaves the polygon's error."""
-    windows = circling()
-    found = prediction_errors(ConstantMotion(COMMANDED), windows, windows.every(50), lookup=None, **UNITS)
+    found = errors_of(ConstantMotion(COMMANDED), circling())
     assert found.values[..., 0].max() < 0.15
     assert found.values[..., 1:].max() < 1e-4
     assert not found.failed.any()
@@ -67,25 +53,17 @@ def test_a_perfect_model_has_no_errors() -> None:
 def test_errors_by_horizon_worked_by_hand() -> None:
     """Off by 0.001 rad a step: 0.05 rad after 1 s, 0.25 after 5 s; -0.004 m/s a step: 1 m/s after 5 s."""
     windows = circling()
-    model = Off([0.0, 0.0, 0.001, 0.0, -0.004, 0.0])
-    found = prediction_errors(model, windows, windows.every(100), lookup=None, **UNITS)
+    found = errors_of(off(0.0, 0.0, 0.001, 0.0, -0.004, 0.0), windows)
     for component, rate in ((1, 0.05), (2, 0.0), (3, 0.2)):
         wanted = np.broadcast_to(rate * np.arange(1, 6), found.values.shape[:2])
         np.testing.assert_allclose(found.values[:, :, component], wanted, atol=1e-4)
-    around = prediction_errors(Off([0, 0, 2 * np.pi / 250, 0, 0, 0]), windows, windows.every(200), lookup=None, **UNITS)
+    around = errors_of(off(0, 0, 2 * np.pi / 250, 0, 0, 0), windows)
     np.testing.assert_allclose(around.values[0, :, 1], np.array([2, 4, 4, 2, 0]) * np.pi / 5, atol=1e-3)
 
 
 def test_distance_and_loss_of_a_standing_prediction() -> None:
     """It stays at the start: the distance error is the chord, and the loss sums squared errors over their scales."""
-    windows = circling()
-    index = windows.every(100)
-
-    class Parked(ConstantMotion):
-        def stepper(self):
-            return lambda model_state, control, terrain: model_state
-
-    found = prediction_errors(Parked(COMMANDED), windows, index, lookup=None, **UNITS)
+    found = errors_of(changed(ConstantMotion, lambda moved, before, step: before), circling())
     seconds = np.arange(1, 6)
     chord = 2 * 10.0 * np.sin(0.5 * seconds / 2)  # radius 10 m, 0.5 rad/s
     np.testing.assert_allclose(found.values[:, :, 0], np.broadcast_to(chord, found.values.shape[:2]), rtol=1e-4)
@@ -106,24 +84,12 @@ def test_chunks_do_not_matter_and_windows_keep_their_identity(monkeypatch: pytes
 
 
 def test_a_prediction_that_diverges_has_infinite_errors_from_then_on() -> None:
-    class Diverging(ConstantMotion):
-        steps = 0
+    def diverge(moved: torch.Tensor, before: torch.Tensor, step: int) -> torch.Tensor:
+        broken = moved.clone()
+        broken[0, 5] += torch.nan if step > 120 else 0.0
+        return broken
 
-        def stepper(self):
-            move, self.steps = super().stepper(), 0
-
-            def step(model_state, control, terrain):
-                self.steps += 1
-                moved = move(model_state, control, terrain)
-                broken = moved.state.clone()
-                if self.steps > 120:
-                    broken[0, 5] = np.nan
-                return ModelState(broken, moved.actuators, moved.recurrent)
-
-            return step
-
-    windows = circling()
-    found = prediction_errors(Diverging(COMMANDED), windows, windows.every(100), lookup=None, **UNITS)
+    found = errors_of(changed(ConstantMotion, diverge), circling())
     assert found.failed[0].tolist() == [False, False, True, True, True]
     assert (found.values[0, 2:] == np.inf).all()
     assert found.loss[0] == np.inf
@@ -132,7 +98,7 @@ def test_a_prediction_that_diverges_has_infinite_errors_from_then_on() -> None:
 
 
 def test_trajectories_have_the_evaluated_errors() -> None:
-    windows, model = circling(), Off([0.001, 0, 0, 0, 0, 0])
+    windows, model = circling(), off(0.001, 0, 0, 0, 0, 0)
     index = windows.every(60)
     states = trajectories(model, windows, index, lookup=None)
     found = prediction_errors(model, windows, index, lookup=None, **UNITS)

@@ -12,23 +12,22 @@ import pytest
 import torch
 from matplotlib.figure import Figure
 
-from factories import COMMANDED, RIG, circle_rows
+from factories import COMMANDED, circle_rows, stored_dataset
 from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.core.conventions import DT
 from offpiste.core.errors import RunError
-from offpiste.core.state import ModelState
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import parse_split
-from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
-from offpiste.dynamics import MODELS, ConstantMotion, Kinematic, Parametric
+from offpiste.dataset.store import Dataset
+from offpiste.dynamics import MODELS, ConstantMotion, Dynamics, Kinematic, Parametric
 from offpiste.evaluation.evaluate import EvaluatedModel, Evaluation, by_split, evaluate_models, named_apart, readings_of
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.metrics import ResultRow, pooled_rows, run_rows
 from offpiste.evaluation.report import draw_figures, report_page, terminal_table, write_report
 from offpiste.evaluation.report_figures import REPORT_FIGURES, ReportFigure
 from offpiste.evaluation.report_figures.windows import draw_typical, draw_worst, path_line
-from offpiste.rig.rig import parse_rig
 from offpiste.training.run import vehicle_of
+from window_errors import changed
 
 SCALE = torch.ones(5)
 QUICK = {"scale": SCALE, "stride": 100, "sampling": Sampling(block_seconds=6.0)}
@@ -58,76 +57,38 @@ def winding(rows: int, seed: int = 0) -> Rows:
     )
 
 
-def make(path: Path, split: str, drives: dict[str, Rows]) -> Dataset:
-    rig, parsed = parse_rig(RIG, where="test"), parse_split(split)
-    create(path, rig, parsed)
-    for name, rows in drives.items():
-        add_drive(path, name, rows, parsed, ())
-    return open_dataset(path)
-
-
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return make(
-        tmp_path_factory.mktemp("data") / "small.zarr",
-        "blocks:0.2,0.2,0.6",
-        {"<first>": winding(3600), "second": winding(3000, seed=1)},
-    )
+    drives = {"<first>": winding(3600), "second": winding(3000, seed=1)}
+    return stored_dataset(tmp_path_factory.mktemp("data") / "small.zarr", drives, "blocks:0.2,0.2,0.6")
 
 
-class Slipping(Kinematic):
+def slipping(share: float) -> Dynamics:
     """`kinematic` that is too slow by a share of its speed."""
-
-    reads_terrain = True
-
-    def __init__(self, share: float) -> None:
-        super().__init__(COMMANDED)
-        self.share = share
-
-    def stepper(self):
-        move = super().stepper()
-
-        def step(model_state, control, terrain):
-            moved = move(model_state, control, terrain)
-            lost = (moved.state[:, :2] - model_state.state[:, :2]) * self.share
-            state = torch.cat((moved.state[:, :2] - lost, moved.state[:, 2:]), dim=-1)
-            return ModelState(state, moved.actuators, moved.recurrent)
-
-        return step
+    lag = torch.tensor([share, share, 0, 0, 0, 0])
+    return changed(Kinematic, lambda moved, before, step: moved - lag * (moved - before))
 
 
 @pytest.fixture(scope="module")
 def evaluation(dataset: Dataset) -> Evaluation:
-    models = [EvaluatedModel("slow", Slipping(share), seed=seed) for seed, share in enumerate((0.1, 0.3))]
+    models = [EvaluatedModel("slow", slipping(share), seed=seed) for seed, share in enumerate((0.1, 0.3))]
     return evaluate_models(
         [*models, EvaluatedModel("parametric", Parametric(COMMANDED))], dataset, **QUICK, command="x < y"
     )
 
 
 def row(rows: list[ResultRow], model: str, start: str = "smoothed", lookup: str | None = None, **others) -> ResultRow:
-    others = {"horizon_s": 5.0, "seed": None, **others}
-    (found,) = [
-        r
-        for r in rows
-        if (r.model, r.start, r.lookup) == (model, start, lookup) and all(getattr(r, k) == v for k, v in others.items())
-    ]
+    wanted = {"model": model, "start": start, "lookup": lookup, "horizon_s": 5.0, "seed": None, **others}
+    (found,) = [r for r in rows if all(getattr(r, key) == value for key, value in wanted.items())]
     return found
 
 
 def test_every_model_start_lookup_and_horizon_has_a_row(evaluation: Evaluation) -> None:
     rows = pooled_rows(evaluation.metrics.results)
     readings = {(r.model, r.start, r.lookup) for r in rows}
-    assert readings == {
-        (model, start, lookup)
-        for start in ("causal", "smoothed")
-        for model, lookups in {
-            "slow": ("recorded", "map"),
-            "parametric": ("recorded", "map"),
-            "ctrv": (None,),
-            "kinematic": (None,),
-        }.items()
-        for lookup in lookups
-    }
+    lookups = {("ctrv", None), ("kinematic", None)}
+    lookups |= {(model, lookup) for model in ("slow", "parametric") for lookup in ("recorded", "map")}
+    assert readings == {(model, start, lookup) for start in ("causal", "smoothed") for model, lookup in lookups}
     assert len(rows) == 5 * len(readings)
     assert {r.horizon_s for r in rows} == {1.0, 2.0, 3.0, 4.0, 5.0}
     assert len({r.n for r in rows}) == 1, "the same windows for every model"
@@ -212,22 +173,12 @@ def test_the_report_is_self_contained_and_escapes(evaluation: Evaluation, tmp_pa
     assert text.count('src="') == text.count('src="data:image/png;base64,') == 6
     assert "x &lt; y" in text
     assert "x < y" not in text
-    content = strict(tmp_path / "report" / "metrics.json")
-    assert content == strict_json(msgspec.json.encode(evaluation.metrics))
+    content = json.loads((tmp_path / "report" / "metrics.json").read_bytes(), parse_constant=pytest.fail)
+    assert content == json.loads(msgspec.json.encode(evaluation.metrics), parse_constant=pytest.fail)
     assert content["results"][0]["distance_error_m"]["ci95"] == [None, None], "too few drives"
 
 
-def strict_json(text: bytes) -> dict:
-    return json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
-
-
-def strict(path: Path) -> dict:
-    return strict_json(path.read_bytes())
-
-
-def test_figures_stand_in_their_sections_and_one_with_nothing_to_draw_is_left_out(
-    evaluation: Evaluation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_figures_stand_in_their_sections_and_one_with_nothing_to_draw_is_left_out(evaluation, monkeypatch) -> None:
     added = {"none": ReportFigure("Nothing", "", lambda evaluation: None)}
     added["one"] = ReportFigure("Distribution", "a caption", lambda evaluation: Figure())
     added["two"] = ReportFigure("Something else", "another", lambda evaluation: Figure())
@@ -240,30 +191,16 @@ def test_figures_stand_in_their_sections_and_one_with_nothing_to_draw_is_left_ou
     assert "Worst windows" not in shown, "a heading without a table or a figure"
 
 
-class Broken(ConstantMotion):
-    """Diverges."""
-
-    reads_terrain = True
-
-    def stepper(self):
-        move = super().stepper()
-
-        def step(model_state, control, terrain):
-            moved = move(model_state, control, terrain)
-            return ModelState(moved.state * 1e3, moved.actuators, moved.recurrent)
-
-        return step
-
-
 def test_a_model_that_diverges_is_counted_as_failed_once_for_each_run(dataset: Dataset, tmp_path: Path) -> None:
-    runs = [EvaluatedModel("b", Broken(COMMANDED), seed=seed) for seed in (0, 1)]
+    broken = changed(ConstantMotion, lambda moved, before, step: moved * 1e3)
+    runs = [EvaluatedModel("b", broken, seed=seed) for seed in (0, 1)]
     found = evaluate_models(runs, dataset, **QUICK, starts=("causal",), lookups=("map",))
     broken = row(found.metrics.results, "b", "causal", "map")
     assert broken.n_failed == broken.n == found.metrics.windows.n
     assert broken.distance_error_m.mean == np.inf
     write_report(found, tmp_path)
-    means = {r["model"]: r["distance_error_m"]["mean"] for r in strict(tmp_path / "metrics.json")["results"]}
-    assert means["b"] is None
+    content = json.loads((tmp_path / "metrics.json").read_bytes(), parse_constant=pytest.fail)
+    assert {r["model"]: r["distance_error_m"]["mean"] for r in content["results"]}["b"] is None
     text = (tmp_path / "report.html").read_text("utf-8")
     assert f"{broken.n} ({broken.n} failed)" in text
     assert f"{2 * broken.n} predictions are not finite" in text
@@ -273,7 +210,7 @@ def test_a_model_that_diverges_is_counted_as_failed_once_for_each_run(dataset: D
 
 def test_folds_cover_every_window_once_and_all_together(dataset: Dataset) -> None:
     def fold(number: int, share: float, seed: int) -> EvaluatedModel:
-        return EvaluatedModel("b", Slipping(share), seed=seed, fold=number, split=parse_split(f"fold:{number}/3"))
+        return EvaluatedModel("b", slipping(share), seed=seed, fold=number, split=parse_split(f"fold:{number}/3"))
 
     models = [fold(number, 0.1 * (number + 1), seed) for number in range(3) for seed in (0, 1)]
     found = evaluate_models(models, dataset, **QUICK, starts=("smoothed",), lookups=("map",))
@@ -299,7 +236,7 @@ def test_models_of_different_splits_and_repeated_runs_are_refused(dataset: Datas
 
 
 def test_flat_ground_has_nothing_to_look_up_and_short_parts_no_interval(tmp_path: Path) -> None:
-    flat = make(tmp_path / "flat.zarr", "blocks:0.4,0.2,0.4", {"circle": circle_rows(3000)})
+    flat = stored_dataset(tmp_path / "flat.zarr", {"circle": circle_rows(3000)}, "blocks:0.4,0.2,0.4")
     found = evaluate_models([], flat, **QUICK)
     assert {(r.model, r.lookup) for r in found.metrics.results} == {("ctrv", None), ("kinematic", None)}
     assert np.isnan(row(found.metrics.results, "ctrv").distance_error_m.ci95).all()
@@ -326,9 +263,7 @@ def parametric(dataset: Dataset, folds: bool) -> Sequence[EvaluatedModel]:
     return [EvaluatedModel("parametric", dynamics, fold=n, split=split) for n, split in enumerate(FOLDS)]
 
 
-def test_folds_of_a_dataset_with_snapshots_are_evaluated_at_recorded_places(
-    snapped: Dataset, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_folds_of_a_dataset_with_snapshots_are_evaluated_at_recorded_places(snapped: Dataset, caplog) -> None:
     caplog.set_level("INFO")
     settings = {"scale": torch.ones(5), "starts": ("causal",), "stride": 50}
     found = evaluate_models(parametric(snapped, folds=True), snapped, **settings)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from factories import RIG, circle_rows, small_rig
+from factories import circle_rows, small_rig, stored_dataset
 from offpiste.core.errors import OffpisteError, RunError
 from offpiste.core.limits import LARGEST_TEXT
 from offpiste.dataset.resample import Rows
-from offpiste.dataset.splits import Split
-from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open_dataset
+from offpiste.dataset.splits import PARTS, Split
+from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.evaluation.evaluate import evaluate_models
 from offpiste.evaluation.evaluate_runs import _other_report, evaluate_runs
@@ -29,27 +29,25 @@ from offpiste.evaluation.evaluated_windows import (
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.report import band_table
 from offpiste.rig.channels import ChannelSource
-from offpiste.rig.rig import parse_rig
 from offpiste.training.config import TrainConfig, refuse_impossible
 
 SPLIT = Split("all", "drives", drives=(("line", "test"),))
 
 
-def line(parts: dict[str, slice], *, rows: int = 1000, shift: tuple[float, float] = (0.0, 0.0)) -> StoredDrive:
+def line(parts: dict[str, slice]) -> StoredDrive:
     """5 m/s along x: row r is at 0.1 r metres."""
-    part = np.full(rows, -1, dtype=np.int8)
+    part = np.full(1000, -1, dtype=np.int8)
     for name, where in parts.items():
-        part[where] = ("train", "validation", "test").index(name)
-    drive = circle_rows(rows, speed=5.0, yaw_rate=1e-6)
-    return StoredDrive("line", replace(drive, origin=np.array(shift)), part, ())
+        part[where] = PARTS.index(name)
+    return StoredDrive("line", replace(circle_rows(1000, yaw_rate=1e-6), origin=np.zeros(2)), part, ())
 
 
 def made_of(*drives: StoredDrive) -> Dataset:
-    return Dataset(Path("nowhere"), parse_rig(RIG, where="test"), SPLIT, drives)
+    return Dataset(Path("nowhere"), small_rig(), SPLIT, drives)
 
 
 def test_a_path_driven_before_was_driven_in_training_wherever_the_drives_origins_are() -> None:
-    trained = line({"train": slice(0, 500)}, shift=(0.0, 0.0))
+    trained = line({"train": slice(0, 500)})
     again = replace(line({"test": slice(0, 1000)}), name="again")
     # Test runs from x = 10 to 109.9 m, 4 m beside training, which ends at 49.9 m: near until 49.9 + 3 m.
     for shift, share in (((10.0, 4.0), 0.43), ((10.0, 6.0), 0.0)):
@@ -92,12 +90,9 @@ def driven(speed: float) -> Rows:
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    path = tmp_path_factory.mktemp("bands") / "data.zarr"
     split = Split("all", "drives", drives=tuple((name, "test") for name in SPEEDS))
-    create(path, small_rig(), split)
-    for name, speed in SPEEDS.items():
-        add_drive(path, name, driven(speed), split, ())
-    return open_dataset(path)
+    drives = {name: driven(speed) for name, speed in SPEEDS.items()}
+    return stored_dataset(tmp_path_factory.mktemp("bands") / "data.zarr", drives, split)
 
 
 def of(dataset: Dataset) -> EvaluatedWindows:
@@ -111,13 +106,8 @@ def test_every_window_is_in_one_band(dataset: Dataset) -> None:
     names = [drive.name for drive in dataset.drives]
     found = {band: {names[d] for d in windows.drive[mine]} for band, mine in members(windows).items()}
     slow, crawl, usual, fast = (band.name for band in BANDS)
-    assert found == {
-        slow: {"standing", "crawling"},
-        crawl: {"slow"},
-        usual: {"usual"},
-        fast: {"fast"},
-        REVERSE: {"backwards"},
-    }
+    wanted = {slow: {"standing", "crawling"}, crawl: {"slow"}, usual: {"usual"}, fast: {"fast"}, REVERSE: {"backwards"}}
+    assert found == wanted
     assert np.sum(list(members(windows).values()), axis=0).tolist() == [1] * len(windows.row)
 
 

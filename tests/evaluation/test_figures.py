@@ -47,15 +47,11 @@ def test_boxes_have_quartiles_whiskers_median_and_mean_in_both_drawings() -> Non
     assert [x for colour, (x, _) in lines if colour == MEAN] == [pytest.approx(VALUES.mean())]
     ends = {x for _, xs in lines for x in xs}
     assert (min(ends), max(ends)) == (0.0, 11.0), "no fliers"
-    label = f"b\nmedian 5.00, mean {VALUES.mean():.2f}"
-    assert [text.get_text() for text in axes.get_yticklabels()] == [label]
-    figure = plotly(box_chart({"b": VALUES}))
-    box, means = figure.data
+    box, means = plotly(box_chart({"b": VALUES})).data
     assert (box.q1, box.median, box.q3, box.lowerfence, box.upperfence) == ((3,), (5,), (7,), (0,), (11,))
     assert means.x == (pytest.approx(VALUES.mean(), abs=1e-3),)
-    assert means.hovertext == (
-        f"median 5.00, mean {VALUES.mean():.2f}<br>quartiles 3.00 and 7.00<br>whiskers 0.00 and 11.00",
-    )
+    numbers = f"median 5.00, mean {VALUES.mean():.2f}"
+    assert means.hovertext == (f"{numbers}<br>quartiles 3.00 and 7.00<br>whiskers 0.00 and 11.00",)
 
 
 def test_failed_predictions_are_counted() -> None:

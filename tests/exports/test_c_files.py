@@ -9,10 +9,10 @@ from importlib.resources import files
 import pytest
 import torch
 
+from cli.command import run as offpiste
 from dynamics.kernels.test_rollout import CHANNELS, example
 from factories import VEHICLE, unsettled
 from host_kernels import needs_gcc, needs_nvcc
-from offpiste.cli.entry import main
 from offpiste.core import channels
 from offpiste.core.errors import OffpisteError, RunError
 from offpiste.core.registry import Registry
@@ -37,9 +37,7 @@ def compiled_and_run(folder):
 @needs_gcc
 @pytest.mark.parametrize(("name", "option"), [("dc", "--to"), ("parametric", "--out")])
 def test_a_c_program_drives_5_s_and_agrees_with_predictions(name, option, tmp_path):
-    with pytest.raises(SystemExit) as exit_code:
-        main(["export", f"pretrained:proving-ground/{name}", option, str(tmp_path / "out")])
-    assert exit_code.value.code == 0
+    assert offpiste("export", f"pretrained:proving-ground/{name}", option, tmp_path / "out") == 0
     ran = compiled_and_run(tmp_path / "out")
     assert ran.returncode == 0, ran.stdout
     assert float(ran.stdout.split("at most ")[1].split()[0]) < 2e-4

@@ -14,11 +14,9 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from factories import circle_rows, small_rig
-from offpiste.cli import main
+from cli.command import run
+from factories import circle_rows, stored_dataset
 from offpiste.core.errors import RunError
-from offpiste.dataset import store
-from offpiste.dataset.splits import parse_split
 from offpiste.training.distributed import ALONE, Group, joined
 
 TORCHRUN = [sys.executable, "-m", "torch.distributed.run"]
@@ -27,11 +25,8 @@ SETTINGS = ["--epochs", "2", "--bicycle-epochs", "2", "--actuator-epochs", "1", 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("ddp") / "data.zarr"
-    split = parse_split("blocks:0.5,0.25,0.25")
-    store.create(path, small_rig(), split)
-    store.add_drive(path, "one", circle_rows(2400), split, ())
-    return path
+    drives = {"one": circle_rows(2400)}
+    return stored_dataset(tmp_path_factory.mktemp("ddp") / "data.zarr", drives, "blocks:0.5,0.25,0.25").path
 
 
 def test_processes_share_all_windows_and_ddp_needs_torchrun(monkeypatch):
@@ -51,22 +46,9 @@ def test_processes_share_all_windows_and_ddp_needs_torchrun(monkeypatch):
 
 
 def test_two_processes_train_what_one_does(dataset, tmp_path):
-    with pytest.raises(SystemExit) as exit_:
-        main(["train", str(dataset), "--out", str(tmp_path / "one"), *SETTINGS])
-    assert not exit_.value.code
-    command = [
-        *TORCHRUN,
-        "--nproc-per-node",
-        "2",
-        "-m",
-        "offpiste",
-        "train",
-        str(dataset),
-        "--out",
-        str(tmp_path / "two"),
-        *SETTINGS,
-        "--ddp",
-    ]
+    assert run("train", dataset, "--out", tmp_path / "one", *SETTINGS) == 0
+    train = ["-m", "offpiste", "train", str(dataset), "--out", str(tmp_path / "two"), *SETTINGS, "--ddp"]
+    command = [*TORCHRUN, "--nproc-per-node", "2", *train]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("model: kept ") == 1

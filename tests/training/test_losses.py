@@ -2,15 +2,12 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
 
-from factories import circle_rows, small_rig
+from factories import circle_rows, dataset_in_memory
 from offpiste.core.errors import TrainingError
-from offpiste.dataset.splits import parse_split
-from offpiste.dataset.store import add_drive, create, open_dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import ConstantMotion
 from offpiste.training.config import TrainConfig
@@ -65,10 +62,8 @@ def test_gradients_equal_finite_differences():
     assert torch.autograd.gradcheck(lambda p: summed_loss(p, target, scale, ONES.double()), predicted)
 
 
-def test_impossible_motion_is_refused_before_training(tmp_path: Path) -> None:
-    split, rows = parse_split("blocks:1,0,0"), circle_rows(600)
-    create(tmp_path / "data.zarr", small_rig(), split)
-    add_drive(tmp_path / "data.zarr", "one", replace(rows, state=rows.state * 1e20), split, ())
-    windows = Windows(open_dataset(tmp_path / "data.zarr"), "train")
+def test_impossible_motion_is_refused_before_training() -> None:
+    rows = circle_rows(600)
+    windows = Windows(dataset_in_memory({"one": replace(rows, state=rows.state * 1e20)}, "blocks:1,0,0"), "train")
     with pytest.raises(TrainingError, match=r"mean square error .* in position is .*: the motion is impossible"):
         loss_scale(ConstantMotion(vehicle_of(windows.dataset)), windows, TrainConfig())

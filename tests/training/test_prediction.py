@@ -7,22 +7,19 @@ import numpy as np
 import pytest
 import torch
 
-from factories import RIG, circle_rows
+from factories import circle_rows, dataset_in_memory
 from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.core.conventions import DT
 from offpiste.core.errors import DatasetError
 from offpiste.core.state import RecordedTerrain
 from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import Split
-from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
-from offpiste.rig.rig import parse_rig
 from offpiste.training.prediction import PathTerrain, codes_of_cells, predict_windows
 from offpiste.training.run import vehicle_of
 
 SPEED = 5.0
-SPLIT = Split("all", "drives", drives=(("hill", "test"), ("valley", "test")))
 
 
 def slope(s: np.ndarray) -> np.ndarray:
@@ -39,12 +36,9 @@ def hill(rows: int = 700) -> Rows:
     return replace(flat, normal=np.repeat(normal[None, :, None], 4, axis=2).astype(np.float32))
 
 
-def windows(*drives: StoredDrive) -> Windows:
-    return Windows(Dataset(Path("nowhere"), parse_rig(RIG, where="test"), SPLIT, drives), "test", start="smoothed")
-
-
-def stored(name: str, rows: Rows) -> StoredDrive:
-    return StoredDrive(name, rows, np.full(len(rows.time), 2, dtype=np.int8), ())
+def windows(**drives: Rows) -> Windows:
+    split = Split("all", "drives", drives=tuple((name, "test") for name in drives))
+    return Windows(dataset_in_memory(drives, split), "test", start="smoothed")
 
 
 def slopes(normal: torch.Tensor) -> np.ndarray:
@@ -53,7 +47,7 @@ def slopes(normal: torch.Tensor) -> np.ndarray:
 
 @pytest.fixture
 def uphill() -> Windows:
-    return windows(stored("hill", hill()))
+    return windows(hill=hill())
 
 
 def test_following_the_record_reads_the_recorded_ground_at_any_step(uphill: Windows) -> None:
@@ -88,7 +82,7 @@ def test_rows_of_other_drives_and_invalid_rows_are_not_read() -> None:
     rows = hill(400)
     rows.valid[320:] = False
     rows.state[350:] = np.nan
-    both = windows(stored("hill", rows), stored("valley", hill(400)))
+    both = windows(hill=rows, valley=hill(400))
     last = np.flatnonzero(both.drive == 0)[-1]
     position, _ = both.path(np.array([last]))
     known = torch.isfinite(position).all(dim=-1)[0]

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import torch
 
+from cli.command import refusal
+from cli.command import run as offpiste
 from feature_datasets import FEATURES, dataset_with_features, with_snapshots
-from offpiste.cli import main
 from offpiste.core.errors import DatasetError, OffpisteError, RunError
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
@@ -18,12 +19,7 @@ from offpiste.training.checkpoint import WEIGHTS, load_json, load_tensors, save_
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import Run, load_run, predict
 from offpiste.training.train import train
-from offpiste.uncertainty.calibration import (
-    SpreadReport,
-    calibrate,
-    evaluate_kept_spreads,
-    kept_or_fitted,
-)
+from offpiste.uncertainty.calibration import calibrate, evaluate_kept_spreads, kept_or_fitted
 from offpiste.uncertainty.fit import FILE, SpreadSettings, load_spread, predict_with_spread, residuals_on_maps
 from offpiste.uncertainty.novelty import features_at_starts, load_memory_bank
 from offpiste.visualization.predicted_regions import view_regions
@@ -47,12 +43,6 @@ def trained(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def run(trained: Path, tmp_path: Path) -> Run:
     return load_run(Path(shutil.copytree(trained, tmp_path / "dc")))
-
-
-def exit_code(*arguments: object) -> object:
-    with pytest.raises(SystemExit) as stopped:
-        main([str(argument) for argument in arguments])
-    return stopped.value.code
 
 
 def test_a_spread_is_stored_with_its_run_and_belongs_to_its_weights(dataset: Dataset, run: Run) -> None:
@@ -93,13 +83,6 @@ def test_runs_in_folders_of_the_same_name_are_distinguished(dataset: Dataset, ru
     assert list(evaluate_kept_spreads(folders, dataset.path).within) == ["s0/dc", "s1/dc"]
 
 
-def test_a_report_evaluates_the_spread_once(dataset: Dataset, run: Run) -> None:
-    spread, evaluated = kept_or_fitted(run, dataset, QUICK), []
-    spread.register_forward_hook(lambda *_: evaluated.append(1))
-    SpreadReport().add("dc", run, spread, dataset)
-    assert evaluated == [1]
-
-
 def test_a_spread_is_not_evaluated_on_data_it_was_fitted_to(dataset: Dataset, run: Run, tmp_path: Path) -> None:
     """The run itself was trained on other data."""
     about = load_json(run.folder / "model.json")
@@ -113,11 +96,9 @@ def test_a_spread_is_not_evaluated_on_data_it_was_fitted_to(dataset: Dataset, ru
 
 
 def test_impossible_calibrations_are_refused_before_anything_is_fitted_or_written(
-    dataset: Dataset, run: Run, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    dataset: Dataset, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert exit_code("calibrate", tmp_path / "none", "--dataset", dataset.path) == 1
-    (line,) = capfd.readouterr().err.strip().splitlines()
-    assert "none" in line
+    assert "none" in refusal(capsys, "calibrate", tmp_path / "none", "--dataset", dataset.path)
     untested = dataset_with_features(tmp_path / "untested.zarr", ("train", "validation", "train"))
     with pytest.raises(DatasetError, match="test part has no window"):
         calibrate([run.folder], untested.path, tmp_path / "out", QUICK)
@@ -138,12 +119,10 @@ def test_map_snapshots_are_read(dataset: Dataset, run: Run, tmp_path: Path) -> N
     assert on_slope.inputs[..., 3].abs().max() > 0.01, "the snapshots' ground slopes"
 
 
-def test_the_command_writes_table_numbers_and_picture(
-    dataset: Dataset, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_writes_table_numbers_and_picture(dataset: Dataset, run: Run, tmp_path: Path) -> None:
     kept_or_fitted(run, dataset, QUICK)
     out = tmp_path / "out"
-    assert exit_code("calibrate", run.folder, "--dataset", dataset.path, "--out", out) == 0
+    assert offpiste("calibrate", run.folder, "--dataset", dataset.path, "--out", out) == 0
     rows = json.loads((out / "calibration.json").read_text("utf-8"))["rows"]
     assert [row["horizon"] for row in rows if row["windows"] == "all"] == [1.0, 3.0, 5.0]
     for row in rows:

@@ -5,10 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from offpiste.simulation.driver.driver import (
-    Driver,
-    DriverSettings,
-)
+from offpiste.simulation.driver.driver import Driver, DriverSettings
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.simulate import drive, start_and_driver
 from offpiste.simulation.vehicle.parameters import load_vehicle
