@@ -2,8 +2,8 @@
 
 Features (SIFT, Lowe 2004) do not depend on the mounting. The second direction of a feature must lie in the epipolar
 plane of the first: translation determines two axes (the direction of travel in the image), rotation the third. Where
-the first direction meets a surface in a scan of a LiDAR, the second one must show the same place, which also determines
-the position. From a rough guess, all rotations within 45 degrees are tried, and robust fits refine the best ones.
+the first direction meets a surface in a scan of a LiDAR, the second one must show the same place. From a rough guess,
+all rotations within 45 degrees are tried, and robust fits refine the best ones.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 
 from offpiste.calibration.misfit import (
     LEAST_PAIRS,
-    PRIOR,
     Misfit,
     Pair,
     Parameters,
@@ -115,15 +114,12 @@ def check_camera(
     scans: Sequence[Scan],
     poses: Poses,
     lidar_parameters: Parameters | None = None,
-    *,
-    prior: Parameters = PRIOR,
 ) -> Misfit | None:
     """Estimate the errors of a camera's mounting and stamps; None with too few images near scans.
 
     Args:
         lidar, scans: source of the surfaces.
         lidar_parameters: misfit of the LiDAR, used for correction.
-        prior: as for `fit_misfit`; seven entries also estimate the position, which may be metres off.
     """
     given = np.zeros(4) if lidar_parameters is None else lidar_parameters
     times = np.array([scan.time for scan in scans]) - given[3]
@@ -139,7 +135,7 @@ def check_camera(
         mounting = camera.camera.body_from_camera
         return [_compared(one, mounting, poses, now, world, tree) for one, world, tree in couples]
 
-    return fit_misfit(compare, prior=prior, rounds=20)  # from a place metres off, it takes about ten
+    return fit_misfit(compare)
 
 
 def _compared(

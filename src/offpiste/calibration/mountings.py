@@ -11,8 +11,9 @@ from rich.text import Text
 from scipy.spatial.transform import Rotation
 
 from offpiste.calibration.camera import Matches, check_camera, estimate_rotation, matched, median_angle
+from offpiste.calibration.camera_place import estimate_place
 from offpiste.calibration.lidar import beyond, estimate_lidar, mean_turn, median_distance
-from offpiste.calibration.misfit import PRIOR, Misfit, turned
+from offpiste.calibration.misfit import Misfit, turned
 from offpiste.calibration.samples import Gathered, Grey, Scan, SmallCamera, gather, small_camera
 from offpiste.core.errors import LogError
 from offpiste.core.progress import track
@@ -40,8 +41,6 @@ _REPLACED: Final = np.deg2rad(5.0)
 """Maximum change by the fit to surfaces for its result to be accepted [rad]."""
 _STRAIGHT: Final = np.deg2rad(3.0)
 """Maximum rotation in half a second of a straight drive [rad]."""
-_PLACED: Final = 3.0
-"""Standard deviation of the prior of an unknown position [m]."""
 
 
 @dataclass(frozen=True)
@@ -253,8 +252,11 @@ def _camera(
     if isinstance(found, str):
         return replace(failed, refused=f"{name}: {found}")
     mounting, misfit = found
-    if ruler is not None:
-        mounting, misfit = _fine(camera, matches, ruler, poses, mounting, misfit, placed)
+    place = None if placed or ruler is None else estimate_place(mounting, matches, *ruler, poses)
+    if place is not None:
+        mounting = turned(mounting, np.append(np.zeros(4), place.parameters[4:]))
+    if ruler is not None and (placed or place is not None):
+        mounting, misfit = _fine(camera, matches, ruler, poses, mounting, misfit)
     if misfit.scale > _LINES:
         angle = np.rad2deg(misfit.scale)
         why = f"no rotation explains the motion in its images ({angle:.1f} degrees left)"
@@ -265,9 +267,13 @@ def _camera(
     # The unrectified camera rotates and translates about the body axes like the rectified one.
     unrectified = given.copy()
     unrectified[:3, :3] = mounting[:3, :3] @ guess[:3, :3].T @ given[:3, :3]
-    unrectified[:3, 3] += mounting[:3, 3] - guess[:3, 3]
-    place = misfit.sigma[4:7] if len(misfit.sigma) > 4 else np.full(3, np.nan)
-    return replace(failed, mounting=unrectified, sigma=tuple(misfit.sigma[:3]), place_sigma=tuple(place), after=after)
+    place_sigma = np.full(3, np.nan)
+    if place is not None:
+        place_sigma = np.where(place.sigma[4:7] < PLACE, place.sigma[4:7], np.nan)
+        shown = np.isfinite(place_sigma)
+        unrectified[:3, 3] += np.where(shown, mounting[:3, 3] - guess[:3, 3], 0.0)
+    sigma = tuple(misfit.sigma[:3])
+    return replace(failed, mounting=unrectified, sigma=sigma, place_sigma=tuple(place_sigma), after=after)
 
 
 def _fine(
@@ -277,12 +283,10 @@ def _fine(
     poses: Poses,
     mounting: Float[np.ndarray, "4 4"],
     misfit: Misfit,
-    placed: bool,
 ) -> tuple[Float[np.ndarray, "4 4"], Misfit]:
     """Return the mounting refined by surfaces if they are seen and agree with the first estimate."""
     moved = replace(camera, camera=replace(camera.camera, body_from_camera=mounting))
-    prior = PRIOR if placed else np.append(PRIOR, [_PLACED] * 3)
-    fine = check_camera(moved, matches, *ruler, poses, prior=prior)
+    fine = check_camera(moved, matches, *ruler, poses)
     if fine is None or np.linalg.norm(fine.parameters[:3]) > _REPLACED or fine.sigma[:3].max() > misfit.sigma[:3].max():
         return mounting, misfit
     return turned(mounting, fine.parameters), fine
