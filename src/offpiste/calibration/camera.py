@@ -77,13 +77,15 @@ class Matches:
 
 
 def matched(camera: SmallCamera, images: Sequence[Grey]) -> list[Matches]:
-    """Return the features shared by consecutive images."""
+    """Return the features shared by consecutive images; images that repeat the one before show no motion."""
     sift = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=_CONTRAST)
     mask = camera.free.astype(np.uint8) * 255
     from_pixels = np.linalg.inv(camera.rectifier.pinhole.matrix)
     found: dict[int, tuple[Float[np.ndarray, "n 3"], np.ndarray]] = {}
     result = []
     for couple in pairs([image.time for image in images]):
+        if np.array_equal(*(images[k].pixels for k in couple)):
+            continue
         for k in couple:
             if k not in found:
                 points, described = sift.detectAndCompute(images[k].pixels, mask)
