@@ -84,7 +84,7 @@ def matched(camera: SmallCamera, images: Sequence[Grey]) -> list[Matches]:
     found: dict[int, tuple[Float[np.ndarray, "n 3"], np.ndarray]] = {}
     result = []
     for couple in pairs([image.time for image in images]):
-        if np.array_equal(*(images[k].pixels for k in couple)):
+        if np.array_equal(images[couple[0]].pixels, images[couple[1]].pixels):
             continue
         for k in couple:
             if k not in found:
