@@ -1,15 +1,11 @@
-"""Pedals: rest position, sign, unit, missing effect, lost samples."""
+"""Pedals: rest position, sign, unit, missing effect."""
 
 import numpy as np
 import pytest
 from simulated import MAX_STEER, START, WHEELBASE, MemoryLog, drive_log, rig, severe
 
 from offpiste.core.conventions import GRAVITY
-from offpiste.inspection.driven_path import driven_path
-from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.lost_throttle import check_lost_throttle
-from offpiste.inspection.pedals import pedal_fits
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import edited
 
@@ -85,43 +81,3 @@ def test_two_triggers_that_rest_high_are_both_reversed_and_not_exchanged(low: fl
         pressed = np.clip(1.25 * CLEAN.data["pedals"][1][name] - 0.25, 0, 1)
         np.testing.assert_allclose(channels[name].values[:, 0], pressed, atol=1e-3)
     assert not severe(log, cured)
-
-
-LONG = drive_log(seconds=120, seed=3)
-TIME, PEDALS = LONG.data["pedals"]
-
-
-def _found(log: MemoryLog) -> list[Finding]:
-    drive = drive_from_log(log, rig())
-    path = driven_path(drive)
-    return check_lost_throttle(pedal_fits(drive, path)["throttle"], drive, path)
-
-
-def _lost(*starts: int, count: int) -> MemoryLog:
-    """The log with the throttle at zero from some samples on."""
-
-    def lose(values: np.ndarray) -> np.ndarray:
-        for first in starts:
-            values[first : first + count] = 0.0
-        return values
-
-    return LONG.change("pedals", "throttle", lose)
-
-
-def _most_pressed(count: int) -> int:
-    """First of so many samples in which the throttle is pressed most."""
-    return int(np.convolve(PEDALS["throttle"], np.ones(count), "valid").argmax())
-
-
-@pytest.mark.parametrize("seconds", [1.0, 4.0])
-def test_zeros_through_which_the_vehicle_is_driven_on_are_named_with_what_was_pressed(seconds: float) -> None:
-    count = round(seconds / 0.02)
-    first = _most_pressed(count)
-    (finding,) = _found(_lost(first, count=count))
-    assert (finding.severity, finding.where) == ("warning", "throttle")
-    assert (
-        f"once, for {TIME[first + count - 1] - TIME[first]:.1f} s from {TIME[first] - TIME[0]:.2f} s on"
-        in finding.evidence
-    )
-    said = float(finding.evidence.split("that of ")[1].split(" ")[0])
-    assert said == pytest.approx(PEDALS["throttle"][first : first + count].mean(), abs=0.15)

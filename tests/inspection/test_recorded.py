@@ -43,8 +43,6 @@ def test_turnpike_without_a_rig(unknown: Inspection) -> None:
     assert "channels.steer.sign = -1" in remedies(unknown)
     findings = {f.where: f for f in unknown.findings}
     assert findings["wheel_rpm[0]"].what == "isolated spikes"
-    assert "copy" in findings["cmd[1]"].what
-    assert "0.0 to 1.0 s later" in findings["cmd[1]"].evidence
     assert all(dead in findings["fields"].evidence for dead in ("cmd[0]", "shock_pos[0]", "shock_pos[1]"))
 
 

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from simulated import MAX_STEER, START, MemoryLog, drive_log, rig, steered
+from simulated import MAX_STEER, START, MemoryLog, drive_log, rig
 
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.steering_delays import WindowDelays, changing_delay, uneven_delay, window_delays
 from offpiste.logs.drive import drive_from_log
-from offpiste.rig.edits import Edit, edited
 
 WHEELBASE = 0.18
 TRUE = np.tan(MAX_STEER) / WHEELBASE
@@ -58,24 +57,6 @@ def test_a_clock_that_is_seconds_apart_is_found_by_where_it_begins_and_ends(topi
     assert cure == {
         f"channels.{name}.delay": pytest.approx(18.0 if len(topics) == 1 else -18.0, abs=0.1) for name in moved
     }
-
-
-CLEAN = drive_log(seed=3)
-COMMAND = CLEAN.data["steering"][1]["command"]
-
-
-def _found(log: MemoryLog, *edits: Edit) -> list[str]:
-    findings = inspect_log(log, edited(rig(), list(edits))).findings
-    assert "fatal" not in {f.severity for f in findings}
-    return [f"{f.where} {f.what}; {f.remedy}" for f in findings if f.what.startswith("is computed")]
-
-
-def test_a_pose_that_is_the_steering_times_the_speed_is_computed() -> None:
-    """As of a VESC's odometry, which no tyre and no servo delays."""
-    (found,) = _found(steered(CLEAN, COMMAND, follows=0.0))
-    assert found.startswith("orientation is computed from channel steer;")
-    assert "measured" in found
-    assert "may be one" not in found
 
 
 LONG = drive_log(seconds=120)

@@ -13,7 +13,6 @@ from offpiste.inspection.gear import check_gear, pedal_reverses
 from offpiste.inspection.heading_drift import check_heading_drift, check_heading_noise
 from offpiste.inspection.held import check_dropouts, check_frozen
 from offpiste.inspection.late_poses import check_late_poses
-from offpiste.inspection.lost_throttle import check_lost_throttle
 from offpiste.inspection.missing import check_missing, check_same_pedals, check_unread
 from offpiste.inspection.pedals import check_controls, check_pedals, pedal_fits
 from offpiste.inspection.range_ends import check_range_ends
@@ -24,7 +23,6 @@ from offpiste.inspection.saturation import check_saturation
 from offpiste.inspection.senders import check_senders
 from offpiste.inspection.stamps import MISSING, check_on_change, check_stamps
 from offpiste.inspection.steering import check_steering, check_upside_down
-from offpiste.inspection.steering_copies import check_computed_pose, check_copies
 from offpiste.inspection.steering_fit import steering_fits
 from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate, check_wheel_speed
 from offpiste.logs.drive import Drive
@@ -128,14 +126,12 @@ def check_motion(topics: Topics, drive: Drive, path: DrivenPath) -> list[Finding
         findings += check_linear_velocity(drive, path) if "linear_velocity" in drive.channels else []
         findings += check_turn_rate(drive, path)
         findings += check_steering(steering, drive, path, measured=measured, cut={f.where for f in cut_off})
-        findings += check_upside_down(steering, drive, path, recorded) + check_computed_pose(drive, path, recorded)
+        findings += check_upside_down(steering, drive, path, recorded)
     # Turning and pedal presses may show the same; each channel is reported once.
     ends = check_range_ends(drive) if given else []
     findings += cut_off + [f for f in ends if f.where not in {cut.where for cut in cut_off}]
     findings += check_clocks(recorded, path, rig, besides={rig.channels["position"].topic})
-    findings += [] if given else check_copies(drive, recorded)
     reverses = pedal_reverses(drive, path)  # negative values are not a brake
     fits = {name: fit for name, fit in pedals.items() if not (reverses and name == "brake")}
     findings += check_pedals(fits, drive, path) + check_gear(drive, path, recorded)
-    findings += check_lost_throttle(pedals["throttle"], drive, path) if "throttle" in pedals else []
     return findings + check_controls(steering, pedals, drive, path, given=given)
