@@ -156,23 +156,3 @@ def test_a_brake_below_zero_stays_one_where_the_vehicle_rolls_back(tmp_path) -> 
     assert driven_path(drive_from_log(log, drafted)).forward.min() < -0.5
     assert drafted.channels["brake"].sign == -1
     assert "gear" not in drafted.channels
-
-
-def _released_halfway(drive: Drive, path: DrivenPath) -> tuple[Drive, DrivenPath, np.ndarray]:
-    """The drive with a stick both ways from zero that is read as a trigger, standing at first; and the stick."""
-    standing = replace(path, speed=np.where(np.arange(len(path.time)) < 300, 0.0, path.speed))
-    throttle = drive.channels["throttle"]
-    both = np.sign(np.sin(throttle.time)) * (np.abs(np.sin(throttle.time)) > 0.6) * (throttle.time > path.time[300])
-    halved = replace(throttle, values=0.5 + 0.5 * both[:, None])
-    return replace(drive, channels={**drive.channels, "throttle": halved}), standing, both
-
-
-def test_a_throttle_that_is_released_halfway_is_found_and_brought_to_zero() -> None:
-    drive, path, recorded = _read(FORWARD)
-    halfway, standing, both = _released_halfway(drive, path)
-    (finding,) = check_gear(halfway, standing, recorded)
-    assert (finding.severity, finding.what) == ("warning", "never comes back to zero")
-    cured = edited(drive.rig, finding.cures[0]).channels["throttle"]
-    assert (cured.scale, cured.offset, cured.clip) == (2.0, -1.0, (0.0, 1.0))
-    released = replace(drive.channels["throttle"], values=np.maximum(both, 0.0)[:, None])
-    assert check_gear(replace(drive, channels={**drive.channels, "throttle": released}), standing, recorded) == []

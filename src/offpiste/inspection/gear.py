@@ -8,14 +8,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from msgspec.structs import replace
 
-from offpiste.core.conventions import GRAVITY
 from offpiste.core.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath, driven_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged, sampled
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.inspection.usual_ranges import rests_between, scaled_to_unit
 from offpiste.logs.channel import increasing
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log
@@ -49,10 +47,6 @@ _DEAD_BAND: Final = 0.02
 """Dead band of a pedal whose sign is the direction."""
 DIRECTION: Final = 0.5 / _DEAD_BAND
 """Scale at which such a pedal, 1 at most, rounds to its sign and serves as a gear."""
-_HALFWAY: Final = (0.2, 0.8)
-"""Released position of a bidirectional throttle whose whole range is read as 0 to 1."""
-_BRAKES: Final = 0.25
-"""Minimum share of forward motion at negative pedal values for a pedal that also brakes."""
 _CODES: Final = frozenset(map(float, range(ord("A"), ord("Z") + 1)))
 """Character codes of letters."""
 
@@ -76,21 +70,11 @@ def gear_values(guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[str, ...
 
 
 def check_gear(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]) -> list[Finding]:
-    """Return a note if the vehicle reverses without a gear in the rig; a warning if the gear contradicts the motion.
-
-    A warning on a bidirectional throttle read as a pedal takes precedence.
-    """
-    halfway = _released_halfway(drive, path)
-    if halfway is not None and ("gear" not in drive.channels or drive.rig.reads_alike("throttle", "gear")):
-        return [halfway]  # backward driving is visible once the throttle is read relative to its rest
-    found = [halfway] if halfway is not None else []
+    """Return a note if the vehicle reverses without a gear in the rig; a warning if the gear contradicts the motion."""
     if "gear" not in drive.channels:
-        below = _below_zero(drive, path, recorded)
-        return [_reverse_pedal(drive.rig)] if pedal_reverses(drive, path) else _hidden_reverse(drive, path, below)
+        return [_reverse_pedal(drive.rig)] if pedal_reverses(drive, path) else _hidden_reverse(drive, path)
     moving = _moving(path)
     gear = drive.channels["gear"].hold(path.time, max_gap=drive.rig.clock.max_gap)[:, 0]
-    if drive.rig.reads_alike("throttle", "gear") and (finding := _braking_reverse(gear, moving, path)):
-        return [finding]
     with np.errstate(invalid="ignore"):
         driven_back = (gear == 0) & (path.forward < 0) & _pressed(drive, path)
         against = moving & ((gear * path.forward < 0) | driven_back)
@@ -98,15 +82,15 @@ def check_gear(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded])
             against &= gear * path.acceleration < 0
     share = float(against.sum() / max(moving.sum(), 1))
     raw = _raw(drive, path, recorded)
-    if against.sum() * STEP < _LEAST_AGAINST or (share < _SHARE and not _one_is_wrong(raw, against, moving)):
-        return found
+    # Reverse may be recorded as first gear: then the motion contradicts one value, however rare.
+    at_values = [(np.sum(against & (raw == value)), np.sum(moving & (raw == value))) for value in _gears(raw)]
+    one_wrong = any(STEP * wrong >= _LEAST_AGAINST and wrong > _MOSTLY * moved for wrong, moved in at_values)
+    if against.sum() * STEP < _LEAST_AGAINST or (share < _SHARE and not one_wrong):
+        return []
     cure = _meanings(drive, path, moving, raw)
     evidence = f"the vehicle moves against it for {against.sum() * STEP:.1f} s, {share:.0%} of its motion"
     how = ", ".join(map(str, cure)) or "give `values` for what is recorded, or leave the channel out"
-    return [
-        *found,
-        Finding("warning", "gear", "does not go with the motion", evidence, how, share, (cure,) if cure else ()),
-    ]
+    return [Finding("warning", "gear", "does not go with the motion", evidence, how, share, (cure,) if cure else ())]
 
 
 def pedal_reverses(drive: Drive, path: DrivenPath) -> bool:
@@ -146,47 +130,6 @@ def reverses_by_pedal(log: Log, rig: Rig) -> bool:
         return False
 
 
-def _released_halfway(drive: Drive, path: DrivenPath) -> Finding | None:
-    """Return a finding on a bidirectional throttle that rests above zero at standstills and does not brake."""
-    throttle = drive.channels.get("throttle")
-    if throttle is None:
-        return None
-    at = sampled(throttle, path.time, drive.rig)
-    with np.errstate(invalid="ignore"):
-        there = at[(path.speed < MOVING) & np.isfinite(at)]
-    if len(there) * STEP < _LASTS:
-        return None
-    rest = float(np.median(there))
-    stays = float(np.mean(np.abs(there - rest) < _DEAD_BAND / 2)) > 0.5  # a slow ramp through this value is no rest
-    braked = _pressed(drive, path, "brake") & np.isfinite(at) & (not drive.rig.reads_alike("throttle", "brake"))
-    let_go = braked.any() and np.median(at[braked]) < rest / 2  # throttle held open at a standstill
-    if not (_HALFWAY[0] < rest < _HALFWAY[1] and stays and rests_between(throttle.values[:, 0], rest)) or let_go:
-        return None
-    source = drive.rig.channels["throttle"]
-    cure = (*scaled_to_unit("throttle", source, (rest, 1.0)), Edit("channels.throttle.clip", [0.0, 1.0]))
-    how = f"{', '.join(map(str, cure))}; what is below brakes, or drives backwards (docs/rig.md)"
-    evidence = f"it is {rest:.2g} at standstills, and goes both ways from there"
-    return Finding("warning", "throttle", "never comes back to zero", evidence, how, 1.0, (cure,))
-
-
-def _braking_reverse(gear: Float[np.ndarray, " n"], moving: Bool[np.ndarray, " n"], path: DrivenPath) -> Finding | None:
-    """Return a finding on a pedal whose negative side brakes a rolling vehicle and reverses from a standstill.
-
-    Speed controllers of model cars and rovers work this way; with immediate reversal, braking is brief.
-    """
-    with np.errstate(invalid="ignore"):
-        back, forward = (moving & (gear < 0) & (way * path.forward > 0) for way in (-1, 1))
-    share = float(forward.sum() / max(forward.sum() + back.sum(), 1))
-    if STEP * forward.sum() < _LEAST_AGAINST or share < _BRAKES:
-        return None
-    evidence = f"it moves forwards for {STEP * forward.sum():.1f} s, {share:.0%} of its motion with gear -1"
-    how = (
-        "where a gear or a brake is recorded on its own, read that; else read below zero as the brake (sign = -1,"
-        " clip = [0, 1]), and leave out the drives in reverse"
-    )
-    return Finding("warning", "gear", "brakes while the vehicle rolls, and is no reverse then", evidence, how, share)
-
-
 def _reverse_pedal(rig: Rig) -> Finding:
     """Return a finding that the brake is reverse, with the edits that convert it to throttle and gear."""
     source = rig.channels["throttle"]
@@ -200,65 +143,36 @@ def _reverse_pedal(rig: Rig) -> Finding:
     return Finding("warning", "brake", "is reverse, and no brake", evidence, how, 1.0, (cure,))
 
 
-def _below_zero(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]) -> Bool[np.ndarray, " n"]:
-    """Return rows in which a clipped throttle is negative and drives backwards; braking does not count."""
-    source = drive.rig.channels.get("throttle")
-    if source is None or source.clip is None:
-        return np.zeros(len(path.time), bool)
-    raw = _raw(drive, path, recorded, "throttle")
-    with np.errstate(invalid="ignore"):
-        below = source.sign * (raw * source.scale + source.offset) * unit_factor("throttle", source.unit) < -_PRESSED
-        return np.asarray(below & (GRAVITY * path.slope > path.acceleration))
-
-
-def _hidden_reverse(drive: Drive, path: DrivenPath, below: Bool[np.ndarray, " n"]) -> list[Finding]:
-    """Return a note on reversing that no channel records.
-
-    Args:
-        below: rows in which the throttle is negative and drives backwards.
-    """
-    if not _moving(path).any():
-        return []
+def _hidden_reverse(drive: Drive, path: DrivenPath) -> list[Finding]:
+    """Return a note on reversing with the throttle pressed that no channel records."""
     with np.errstate(invalid="ignore"):
         backwards = _moving(path) & (path.forward < 0)
-        driven = backwards & (_pressed(drive, path) | below)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], backwards, [False]))))
-    stretches = [
-        (first, last)
-        for first, last in zip(edges[::2], edges[1::2], strict=True)
-        if driven[first:last].sum() * STEP >= _LASTS
-    ]
+    driven = backwards & _pressed(drive, path)
+    edges = np.flatnonzero(np.diff(backwards.astype(int), prepend=0, append=0)).reshape(-1, 2)
+    stretches = [(first, last) for first, last in edges if driven[first:last].sum() * STEP >= _LASTS]
     if not stretches:
         return []
     seconds = sum(last - first for first, last in stretches) * STEP
     times = "once" if len(stretches) == 1 else f"{len(stretches)} times"
     evidence = f"{times}, {seconds:.1f} s in all, from {path.time[stretches[0][0]] - path.time[0]:.1f} s on, "
-    negative = bool((driven & below).any())
-    evidence += "with the throttle below zero" if negative else "with the throttle pressed"
-    how = "add [channels.gear] where the log has one (docs/rig.md); without it, models expect "
-    how += "below zero to brake" if negative else "throttle to drive forwards"
+    evidence += "with the throttle pressed"
+    how = (
+        "add [channels.gear] where the log has one (docs/rig.md); without it, models expect throttle to drive forwards"
+    )
     return [Finding("note", "gear", "is not read, and the vehicle reverses", evidence, how, 0.4)]
 
 
-def _pressed(drive: Drive, path: DrivenPath, pedal: str = "throttle") -> Bool[np.ndarray, " n"]:
-    """Return the rows in which a pedal is pressed; none if it is unknown."""
-    if pedal not in drive.channels:
+def _pressed(drive: Drive, path: DrivenPath) -> Bool[np.ndarray, " n"]:
+    """Return the rows in which the throttle is pressed; none if it is unknown."""
+    if "throttle" not in drive.channels:
         return np.zeros(len(path.time), bool)
     with np.errstate(invalid="ignore"):
-        return np.asarray(sampled(drive.channels[pedal], path.time, drive.rig) > _PRESSED)
+        return np.asarray(sampled(drive.channels["throttle"], path.time, drive.rig) > _PRESSED)
 
 
 def _moving(path: DrivenPath) -> Bool[np.ndarray, " n"]:
     with np.errstate(invalid="ignore"):
         return np.asarray(np.abs(path.forward) > max(MOVING, 0.1 * path.cruise))
-
-
-def _one_is_wrong(
-    raw: Float[np.ndarray, " n"], against: Bool[np.ndarray, " n"], moving: Bool[np.ndarray, " n"]
-) -> bool:
-    """Return True if the vehicle mostly moves against one recorded value, e.g. reverse recorded as first gear."""
-    shares = ((np.sum(against & (raw == value)), np.sum(moving & (raw == value))) for value in _gears(raw))
-    return any(STEP * wrong >= _LEAST_AGAINST and wrong > _MOSTLY * moved for wrong, moved in shares)
 
 
 def _meanings(
@@ -273,11 +187,9 @@ def _meanings(
     return (Edit("channels.gear.values", values),) if len(set(values.values())) > 1 else ()
 
 
-def _raw(
-    drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded], name: str = "gear"
-) -> Float[np.ndarray, " n"]:
-    """Return a channel as recorded with zero-order hold; NaN before the first sample and if missing."""
-    source = drive.rig.channels[name]
+def _raw(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]) -> Float[np.ndarray, " n"]:
+    """Return the gear as recorded with zero-order hold; NaN before the first sample and if missing."""
+    source = drive.rig.channels["gear"]
     r = recorded.get(source.topic)
     if r is None or source.fields[0] not in r.fields:
         return np.full(len(path.time), np.nan)
