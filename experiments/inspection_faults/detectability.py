@@ -17,8 +17,7 @@ from experiments.inspection_faults.drives import TrueDrive, drive_of, scaled
 from experiments.inspection_faults.recording import Case, recorded
 from experiments.inspection_faults.study import Study
 from offpiste.inspection.driven_path import driven_path
-from offpiste.inspection.pedals import pedal_fits
-from offpiste.inspection.steering_fit import curvature_per_unit, steering_fits
+from offpiste.inspection.response import curvature_per_unit, pedal_fits, steering_fits
 from offpiste.logs.drive import drive_from_log
 
 _CLEAR, _EFFECT = 0.7, 0.3
@@ -75,14 +74,12 @@ def _quantities(case: Case) -> dict[str, float]:
     drive = drive_from_log(case.log, case.rig)
     path = driven_path(drive)
     values: dict[str, float] = {}
-    for name, steering in steering_fits(drive, path, measured=True).items():
-        gripping = steering.gripping
+    for name, steering in steering_fits(drive, path).items():
         if steering.dynamic.strength > _EFFECT:
             values[f"{name}: delay"] = steering.dynamic.delay(steering.dynamic.best(sign=1))[0]
-        if gripping.strength > _CLEAR:
+        if steering.settled.strength > _CLEAR:
             values[f"{name}: centre"] = steering.centre
-            gain = abs(float(gripping.gain[gripping.best()]))
-            values[f"{name}: scale"] = float(np.log(gain / curvature_per_unit(name, case.rig)))
+            values[f"{name}: scale"] = float(np.log(steering.curvature.value / curvature_per_unit(name, case.rig)))
     for name, pedal in pedal_fits(drive, path).items():
         if pedal.strength > _EFFECT:
             values[f"{name}: delay"] = pedal.delay(pedal.best(sign=1 if name == "throttle" else -1))[0]

@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
 
 import factories
 from offpiste.inspection.driven_path import DrivenPath, driven_path
@@ -159,21 +158,6 @@ def checked(check: Callable[[Drive, DrivenPath], list[Finding]], log: MemoryLog,
 def severe(log: MemoryLog, now: Rig | None = None) -> list[Finding]:
     """Findings of a whole inspection but for notes; by the right rig unless another one is given."""
     return [finding for finding in inspect_log(log, now or rig()).findings if finding.severity != "note"]
-
-
-def steered(log: MemoryLog, command: np.ndarray, *, follows: float) -> MemoryLog:
-    """A log driven with another steering, at its speeds, by wheels that follow in `follows` seconds (first order)."""
-    stamps, columns = log.data["steering"]
-    step = float(np.median(np.diff(stamps)))
-    wheels = lfilter([step / follows], [1, step / follows - 1], command) if follows else command
-    time, odom = log.data["odom"]
-    rate = odom["vx"] * np.tan(MAX_STEER * np.interp(time, stamps, wheels)) / WHEELBASE
-    step = float(np.median(np.diff(time)))
-    yaw = np.cumsum(rate) * step
-    x, y = np.cumsum(odom["vx"] * np.cos(yaw)) * step, np.cumsum(odom["vx"] * np.sin(yaw)) * step
-    moved = odom | {"x": x, "y": y, "wz": rate, "qz": np.sin(yaw / 2), "qw": np.cos(yaw / 2)}
-    steering = columns | {"command": command, "angle": MAX_STEER * wheels}
-    return MemoryLog({**log.data, "odom": (time, moved), "steering": (stamps, steering)})
 
 
 def pointing(log: MemoryLog, axes: str) -> tuple[MemoryLog, Rig]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from simulated import MAX_STEER, START, WHEELBASE, MemoryLog, checked, drive_log, pointing, rig
+from simulated import MemoryLog, checked, drive_log, pointing, rig
 
 from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import driven_path
@@ -83,71 +83,6 @@ def test_a_heading_that_counts_clockwise_is_a_compass_or_an_ins_of_north_east_do
         assert {edit.key for edit in first.cures[0]} == {"channels.yaw.sign", "channels.yaw.offset"}
     cured = inspect_log(log, edited(given, first.cures[0]))
     assert not [f for f in cured.findings if f.severity != "note" and f.where != "steer"]
-
-
-HEIGHT = 2.0
-
-
-def _on_hills(*, down: bool, hills: bool = True, imu: float = 1.0, lean: float = 0.0) -> MemoryLog:
-    """A drive with gravity, as a vehicle with its z up or down records it, its steering with its axes.
-
-    Args:
-        imu: sign of the IMU's accelerations; 0: there is no IMU.
-        lean: roll out of the curve for a lateral acceleration [rad s^2/m].
-    """
-    log, step, height = drive_log(seconds=90), 0.01, HEIGHT * hills
-    time = np.arange(0, 90, step)
-    (stamps, pedals), (turned, steering) = log.data["pedals"], log.data["steering"]
-    pushed = np.interp(time, stamps - START, 4 * pedals["throttle"] - 5 * pedals["brake"])
-    curvature = np.interp(time, turned - START, np.tan(MAX_STEER * steering["command"])) / WHEELBASE
-    x, y, v, yaw, slope = np.zeros((5, len(time)))
-    for row in range(1, len(time)):
-        last = row - 1
-        slope[row] = height * (
-            np.cos(x[last] / 15) * np.cos(yaw[last]) / 15 - np.sin(y[last] / 18) * np.sin(yaw[last]) / 18
-        )
-        v[row] = max(v[last] + step * (pushed[last] - 0.15 * v[last] - 9.81 * slope[row]), 0.0)
-        yaw[row] = yaw[last] + step * v[row] * curvature[row]
-        x[row], y[row] = x[last] + step * v[row] * np.cos(yaw[row]), y[last] + step * v[row] * np.sin(yaw[row])
-    z, rate, gain = height * (np.sin(x / 15) + np.cos(y / 18)), v * curvature, np.gradient(v, step)
-    side = -1.0 if down else 1.0
-    half = yaw / 2, lean * v * rate / 2
-    odom = {
-        "x": x, "y": side * y, "z": side * z, "vx": v, "vy": 0 * v, "vz": 0 * v,
-        "wx": 0 * v, "wy": 0 * v, "wz": side * rate,
-        "qx": np.cos(half[0]) * np.sin(half[1]), "qy": side * np.sin(half[0]) * np.sin(half[1]),
-        "qz": side * np.sin(half[0]) * np.cos(half[1]), "qw": np.cos(half[0]) * np.cos(half[1]),
-    }  # fmt: skip
-    forces = imu * (gain + 9.81 * slope), imu * side * v * rate, np.full(len(v), imu * side * 9.81)
-    felt = {f"linear_acceleration.{axis}": force for axis, force in zip("xyz", forces, strict=True)}
-    data = {**log.data, "odom": (START + time, odom)}
-    data["steering"] = turned, {name: side * values for name, values in steering.items()}
-    return MemoryLog(data | ({"imu": (START + time, {**felt, "angular_velocity.z": side * rate})} if imu else {}))
-
-
-def _upside_down(log: MemoryLog) -> list[Finding]:
-    return [
-        finding for finding in inspect_log(log, rig()).findings if finding.what.startswith("its z axis points down")
-    ]
-
-
-WITNESSES = {
-    "hills": {"hills": True, "imu": 0.0},
-    "an IMU": {"hills": False, "imu": 1.0},
-    "a lean": {"hills": False, "imu": 0.0, "lean": 0.01},
-}
-
-
-@pytest.mark.parametrize("witness", WITNESSES.values(), ids=WITNESSES)
-def test_poses_with_their_z_down_are_known_by_gravity_though_the_steering_fits_them(witness: dict[str, float]) -> None:
-    log = _on_hills(down=True, **witness)
-    (finding,) = _upside_down(log)
-    signs = [Edit(f"channels.{name}.sign", -1) for name in ("steer", "steer_angle")]
-    assert finding.cures == ((Edit("motion.axes", "ned"), *signs),)
-    cured = inspect_log(log, edited(rig(), finding.cures[0]))
-    left = {finding.what for finding in cured.findings if finding.severity != "note"}
-    assert not {what for what in left if "right" in what or "sign" in what or "course" in what or "z axis" in what}
-    assert _upside_down(_on_hills(down=False, **witness)) == []
 
 
 DRIVE = drive_log()

@@ -8,7 +8,7 @@ from simulated import MemoryLog, drive_log, rig, severe
 
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.range_ends import check_range_ends
+from offpiste.inspection.limits import check_range_ends
 from offpiste.logs import open_log
 from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log

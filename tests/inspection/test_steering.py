@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from simulated import MAX_STEER, START, MemoryLog, drive_log, rig
 
+from offpiste.inspection.delays import WindowDelays, changing_delay, drifting_delay, window_delays
 from offpiste.inspection.driven_path import driven_path
 from offpiste.inspection.inspect import inspect_log
-from offpiste.inspection.steering_delays import WindowDelays, changing_delay, uneven_delay, window_delays
 from offpiste.logs.drive import drive_from_log
 
 WHEELBASE = 0.18
@@ -79,8 +79,14 @@ def test_stretches_show_the_delay(by: float) -> None:
     delays = _delays(_late(by))
     assert len(delays.delay) > 10
     assert np.median(delays.delay) == pytest.approx(-by, abs=0.03)
-    assert changing_delay("steer", delays) == []
-    assert uneven_delay("steer", delays) == []
+    assert drifting_delay("steer", delays) + changing_delay("steer", delays) == []
+
+
+@pytest.mark.parametrize(("by", "found"), [(-0.3, {"steer_angle"}), (-0.6, {"steer", "steer_angle"}), (-0.1, set())])
+def test_a_measured_angle_is_followed_at_once_and_a_command_a_little_later(by: float, found: set[str]) -> None:
+    log = LONG.restamp("steering", lambda time: time + by)
+    late = [f for f in inspect_log(log, rig()).findings if f.what == "comes long before the motion"]
+    assert {place.split(" ")[0] for f in late for place in (f.where, *f.also)} == found
 
 
 def _drifting(first: float, last: float) -> MemoryLog:
@@ -91,7 +97,7 @@ def _drifting(first: float, last: float) -> MemoryLog:
 
 @pytest.mark.parametrize(("first", "last"), [(0.0, 0.5), (0.3, -0.2), (0.0, -1.2)])
 def test_a_clock_that_drifts_is_named_with_its_change(first: float, last: float) -> None:
-    (finding,) = changing_delay("steer", _delays(_drifting(first, last)))
+    (finding,) = drifting_delay("steer", _delays(_drifting(first, last)))
     assert (finding.severity, finding.what) == ("warning", "has a clock that drifts")
     said = float(finding.evidence.split("and ")[1].split(" s")[0])
     assert said == pytest.approx(first - last, rel=0.2)

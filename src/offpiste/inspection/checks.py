@@ -13,17 +13,15 @@ from offpiste.inspection.gear import check_gear, pedal_reverses
 from offpiste.inspection.heading_drift import check_heading_drift, check_heading_noise
 from offpiste.inspection.held import check_dropouts, check_frozen
 from offpiste.inspection.late_poses import check_late_poses
+from offpiste.inspection.limits import check_cut_off, check_range_ends, check_resolution
 from offpiste.inspection.missing import check_missing, check_same_pedals, check_unread
-from offpiste.inspection.pedals import check_controls, check_pedals, pedal_fits
-from offpiste.inspection.range_ends import check_range_ends
+from offpiste.inspection.pedals import check_controls, check_pedals
 from offpiste.inspection.recorded_log import Recorded
-from offpiste.inspection.resolution import check_resolution
+from offpiste.inspection.response import pedal_fits, steering_fits
 from offpiste.inspection.samples import channel_signals, check_ranges, check_signals, check_valid, other_signals
-from offpiste.inspection.saturation import check_saturation
 from offpiste.inspection.senders import check_senders
 from offpiste.inspection.stamps import MISSING, check_on_change, check_stamps
-from offpiste.inspection.steering import check_steering, check_upside_down
-from offpiste.inspection.steering_fit import steering_fits
+from offpiste.inspection.steering import check_steering
 from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate, check_wheel_speed
 from offpiste.logs.drive import Drive
 from offpiste.logs.log import SetBack, Topic
@@ -115,18 +113,17 @@ def check_motion(topics: Topics, drive: Drive, path: DrivenPath) -> list[Finding
     rig, recorded, given = drive.rig, topics.recorded, topics.given
     follows = heading_fits(path)  # otherwise turning cannot be checked
     measured = given and not check_draft_values(rig)  # wheelbase and `max_steer`
-    steering, pedals = steering_fits(drive, path, measured=measured), pedal_fits(drive, path)
+    steering, pedals = steering_fits(drive, path), pedal_fits(drive, path)
     findings: list[Finding] = []
     for check in (check_frozen, check_dropouts, check_resolution, check_heading_noise, check_wheel_speed):
         findings += check(drive, path)
     cut_off: list[Finding] = []
     if follows:
-        cut_off = check_saturation(drive, path)  # the vehicle turns further: the scale is unknown
+        cut_off = check_cut_off(drive, path)  # the vehicle turns further: the scale is unknown
         findings += check_late_poses(drive, path, steering, pedals) + check_heading_drift(drive, path)
         findings += check_linear_velocity(drive, path) if "linear_velocity" in drive.channels else []
         findings += check_turn_rate(drive, path)
         findings += check_steering(steering, drive, path, measured=measured, cut={f.where for f in cut_off})
-        findings += check_upside_down(steering, drive, path, recorded)
     # Turning and pedal presses may show the same; each channel is reported once.
     ends = check_range_ends(drive) if given else []
     findings += cut_off + [f for f in ends if f.where not in {cut.where for cut in cut_off}]

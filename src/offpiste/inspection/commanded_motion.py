@@ -6,10 +6,6 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.driven_path import DrivenPath
-from offpiste.inspection.lags import LAGS, fit_lags, lagged
-from offpiste.inspection.steering_fit import moving_rows, steering_fit
-from offpiste.logs.channel import Channel
 from offpiste.logs.log import Topic
 from offpiste.rig.channels import TURN_RATES
 from offpiste.rig.edits import number
@@ -92,16 +88,3 @@ def commanded_curvature(raw: Float[np.ndarray, "n 2"], rig: Rig) -> float:
     quick = np.abs(speed) > 0.3 * np.percentile(np.abs(speed), _USUAL)
     turns = quick & (rate != 0)
     return float(np.percentile(np.abs(rate[turns] / speed[turns]), _USUAL)) if turns.any() else 0.0
-
-
-def is_turn_rate(channel: Channel, path: DrivenPath, rig: Rig) -> bool:
-    """Return True if the vehicle's yaw rate follows a steering command itself, not the command times the speed.
-
-    Args:
-        channel: the command's value, as recorded.
-        rig: the rig with this steering.
-    """
-    fitted = steering_fit(channel, path, rig, measured=False)
-    one = np.ones((len(path.time), 1))
-    fit = fit_lags(path.yaw_rate, one, lagged(channel, path.time, rig), LAGS, moving_rows(path))
-    return fit is not None and (fitted is None or fit.strength >= fitted.steady.strength)

@@ -1,7 +1,7 @@
 """Controls without telling names, found by the vehicle's response, e.g. joystick axes."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Final
 
@@ -12,10 +12,9 @@ from jaxtyping import Float
 from offpiste.core.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess, labels
 from offpiste.inspection.commanded_motion import is_commanded
-from offpiste.inspection.driven_path import DrivenPath, driven_path
-from offpiste.inspection.lags import LAGS, LagFit, fit_lags, lagged
-from offpiste.inspection.pedals import pedal_fit
-from offpiste.inspection.steering_fit import moving_rows, steering_fit
+from offpiste.inspection.driven_path import STEP, DrivenPath, driven_path
+from offpiste.inspection.lags import LAGS, LagFit, fit_lags
+from offpiste.inspection.response import PRIORS, pedal_fit, steering_fit, turn_rate_fit
 from offpiste.inspection.usual_ranges import are_pulses, is_signed, pulse_at_rest, rests_between, rests_high
 from offpiste.logs.channel import Channel, read_channel
 from offpiste.logs.drive import drive_from_log
@@ -36,8 +35,6 @@ _SAME: Final = 0.999
 """Minimum correlation of simultaneous copies of one control."""
 _WHOLE: Final = 1.05
 """Maximum value of a normalised control."""
-_APART: Final = np.arange(-0.6, 0.61, 0.02)
-"""Candidate lags between two fields [s]."""
 _NEARLY: Final = 0.95
 """Share of the best correlation that counts as equal; slow signals determine the lag poorly."""
 _AT_ONCE: Final = 0.1
@@ -48,6 +45,20 @@ _SIDES: Final = {"left": "right", "right": "left"}
 """Vehicle sides with separate commands per wheel or track."""
 _LISTED: Final = 60
 """Maximum number of table columns listed."""
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A field read as a control.
+
+    Attributes:
+        score: correlation of the later motion with it; 0 if the motion does not follow it.
+        on_path: values at the times of the driven path.
+    """
+
+    guess: Guess
+    score: float
+    on_path: Float[np.ndarray, " n"]
 
 
 def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
@@ -63,7 +74,7 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
         path = driven_path(drive_from_log(log, rig))
     except OffpisteError:
         return {}
-    fields = list(islice(_candidates(log, rig), _MOST))
+    fields = list(islice(_fields(log, rig), _MOST))
     found: dict[str, tuple[Guess, float]] = {}
     for name in lacking:
         taken = {(guess.topic, guess.fields) for guess, _ in found.values()}
@@ -71,16 +82,15 @@ def find_controls(log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
         if name != "steer":
             topics = {found["steer"][0].topic} if "steer" in found else set()
             left = [guess for guess in left if guess.topic in topics or _may_hold_pedals(guess.topic)]
-        scores = sorted(((_follows(name, guess, log, rig, path), guess) for guess in left), key=lambda pair: -pair[0])
-        if not scores or scores[0][0] < _FOLLOWS[name]:
+        read = [one for guess in left if (one := _candidate(name, guess, log, rig, path)) is not None]
+        best = max((one.score for one in read), default=0.0)
+        if best < _FOLLOWS[name]:
             continue
-        near = [(score, guess) for score, guess in scores if scores[0][0] - score < _CLEARER]
-        near = _without_copies(near, name, log, rig)
+        near = _without_copies([one for one in read if best - one.score < _CLEARER])
+        names = [name] if len(near) == 1 else []
         if name == "steer" and len(near) == 2:
-            found |= _commanded_and_measured(near, log, rig)
-        elif len(near) == 1:
-            score, guess = near[0]
-            found[name] = replace(guess, channel=name), score
+            near, names = _in_order(near), ["steer", "steer_angle"]
+        found |= {name: (replace(one.guess, channel=name), one.score) for name, one in zip(names, near, strict=False)}
     return found
 
 
@@ -89,81 +99,57 @@ def _may_hold_pedals(topic: str) -> bool:
     return is_named("to_actuators", topic) or is_named("remote_controls", topic)
 
 
-def _without_copies(near: Sequence[tuple[float, Guess]], name: str, log: Log, rig: Rig) -> list[tuple[float, Guess]]:
+def _candidate(name: str, guess: Guess, log: Log, rig: Rig, path: DrivenPath) -> _Candidate | None:
+    """Read a field as a control, without rows that are not finite or out of order; None if nothing is left."""
+    source = ChannelSource(guess.fields, guess.topic)
+    trial = msgspec.structs.replace(rig, channels={**rig.channels, name: source})
+    try:
+        channel = read_channel(log, trial, name, source)[0]
+    except OffpisteError:
+        return None
+    at = np.interp(path.time, channel.time, channel.values[:, 0])
+    if name == "steer":
+        fitted = steering_fit(channel, path, trial)
+        turn_rate = turn_rate_fit(channel, path, trial, fitted)  # like a gyroscope, if at once
+        at_once = turn_rate is not None and abs(turn_rate.lags[turn_rate.best()]) < _AT_ONCE
+        fit = None if fitted is None or at_once else fitted.steady
+    else:
+        pressed = _pressed(channel)
+        fit = None if pressed is None else pedal_fit(pressed, None, path, trial)
+    return _Candidate(guess, 0.0 if fit is None else _later(fit, name), at)
+
+
+def _later(fit: LagFit, name: str) -> float:
+    """Return the correlation with later motion; 0 if earlier motion is a clearly better explanation."""
+    sign = PRIORS[name].sign
+    best, inside = fit.best(sign=sign), fit.best(*_LEADS[name], sign=sign)
+    return float(abs(fit.r[inside])) if abs(fit.r[inside]) >= _NEARLY * abs(fit.r[best]) else 0.0
+
+
+def _without_copies(near: Sequence[_Candidate]) -> list[_Candidate]:
     """Drop fields that duplicate another one at the same time in other units, e.g. command pulses.
 
     The field within -1 to 1 is kept, otherwise the actuator output.
     """
-    kept = list[tuple[float, Guess, Channel]]()
-    read = [(score, guess, channel) for score, guess in near if (channel := _read(name, guess, log, rig)) is not None]
-    read.sort(key=lambda one: (float(np.abs(one[2].values).max()) > _WHOLE, not is_named("outputs", one[1].topic)))
-    for score, guess, channel in read:
-        at = channel.time[:: max(len(channel.time) // 2000, 1)]
-        others = (np.interp(at, other.time, other.values[:, 0]) for _, _, other in kept)
-        own = np.interp(at, channel.time, channel.values[:, 0])
-        if not any(abs(np.corrcoef(own, other)[0, 1]) > _SAME for other in others):
-            kept.append((score, guess, channel))
-    return [(score, guess) for score, guess, _ in kept]
+    kept: list[_Candidate] = []
+    order = sorted(near, key=lambda one: (np.abs(one.on_path).max() > _WHOLE, not is_named("outputs", one.guess.topic)))
+    for one in order:
+        if not any(abs(np.corrcoef(one.on_path, other.on_path)[0, 1]) > _SAME for other in kept):
+            kept.append(one)
+    return kept
 
 
-def _commanded_and_measured(pair: Sequence[tuple[float, Guess]], log: Log, rig: Rig) -> dict[str, tuple[Guess, float]]:
-    """Return command (earlier) and measurement (later) if two fields are one steering, otherwise nothing."""
-    samples = [channel for _, guess in pair if (channel := _read("steer", guess, log, rig)) is not None]
-    start, end = max(s.time[0] for s in samples), min(s.time[-1] for s in samples)
-    at = np.arange(start + _APART[-1], end - _APART[-1], 0.02)
-    if len(at) < 100:
-        return {}
-    one = np.interp(at, samples[0].time, samples[0].values[:, 0])
-    others = [np.interp(at + lag, samples[1].time, samples[1].values[:, 0]) for lag in _APART]
-    alike = np.array([abs(np.corrcoef(one, other)[0, 1]) for other in others])
-    lag = float(_APART[alike.argmax()])
-    if alike.max() < _COPIES or abs(lag) < 0.01:
-        return {}
-    first, second = pair if lag > 0 else reversed(pair)
-    return {name: (replace(guess, channel=name), score)
-            for name, (score, guess) in (("steer", first), ("steer_angle", second))}  # fmt: skip
-
-
-def _follows(name: str, guess: Guess, log: Log, rig: Rig, path: DrivenPath) -> float:
-    """Return the correlation of the motion with a field read as this control; 0 if the motion does not follow it."""
-    trial = _with(name, guess, rig)
-    channel = _read(name, guess, log, rig)
-    if channel is None:
-        return 0.0
-    if name == "steer":
-        fitted = steering_fit(channel, path, trial, measured=False)
-        if fitted is None or _is_turn_rate(channel, path, trial, fitted.steady.strength):
-            return 0.0
-        return _later(fitted.steady, name, sign=0)
-    pressed = _pressed(channel)
-    fit = None if pressed is None else pedal_fit(pressed, None, path, trial)
-    return 0.0 if fit is None else _later(fit, name, sign=1 if name == "throttle" else -1)
-
-
-def _with(name: str, guess: Guess, rig: Rig) -> Rig:
-    """Return the rig with a field read as this control."""
-    source = ChannelSource(guess.fields, guess.topic)
-    return msgspec.structs.replace(rig, channels={**rig.channels, name: source})
-
-
-def _read(name: str, guess: Guess, log: Log, rig: Rig) -> Channel | None:
-    """Read a field as this control, dropping rows that are not finite or out of order; None if nothing is left."""
-    trial = _with(name, guess, rig)
-    try:
-        return read_channel(log, trial, name, trial.channels[name])[0]
-    except OffpisteError:
-        return None
-
-
-def _is_turn_rate(channel: Channel, path: DrivenPath, rig: Rig, strength: float) -> bool:
-    """Return True if a field explains the simultaneous yaw rate, like a gyroscope, at least as well as times the speed.
-
-    Args:
-        strength: correlation of the field times the speed.
-    """
-    one = np.ones((len(path.time), 1))
-    fit = fit_lags(path.yaw_rate, one, lagged(channel, path.time, rig), LAGS, moving_rows(path))
-    return fit is not None and fit.strength >= strength and abs(float(fit.lags[fit.best()])) < _AT_ONCE
+def _in_order(pair: Sequence[_Candidate]) -> list[_Candidate]:
+    """Return two fields of one steering, first the command, which is earlier; none if they differ or coincide."""
+    first, second = pair
+    rows = np.rint(LAGS / STEP).astype(int)
+    earlier = np.stack([np.roll(first.on_path, row) for row in rows])
+    inside = np.ones(len(first.on_path), bool)
+    inside[: rows[-1]] = inside[len(inside) - rows[-1] :] = False
+    fit = fit_lags(second.on_path, np.ones((len(inside), 1)), earlier, LAGS, inside)
+    if fit is None or fit.strength < _COPIES or abs(lag := fit.delay(fit.best())[0]) < 0.01:
+        return []
+    return [first, second] if lag > 0 else [second, first]
 
 
 def _pressed(channel: Channel) -> Channel | None:
@@ -179,12 +165,6 @@ def _pressed(channel: Channel) -> Channel | None:
     return Channel(channel.name, channel.unit, channel.time, values.max() - values if high else values - values.min())
 
 
-def _later(fit: LagFit, name: str, *, sign: int) -> float:
-    """Return the correlation with later motion; 0 if earlier motion is a clearly better explanation."""
-    best, inside = fit.best(sign=sign), fit.best(*_LEADS[name], sign=sign)
-    return float(abs(fit.r[inside])) if abs(fit.r[inside]) >= _NEARLY * abs(fit.r[best]) else 0.0
-
-
 def is_measured_topic(topic: Topic) -> bool:
     """Return True if a topic's name or type marks a measurement; for tables, the columns decide.
 
@@ -195,7 +175,7 @@ def is_measured_topic(topic: Topic) -> bool:
     return bool(topic.name) and is_named("measured_topics", f"{topic.name} {topic.type}")
 
 
-def _candidates(log: Log, rig: Rig) -> Iterator[Guess]:
+def _fields(log: Log, rig: Rig) -> Iterator[Guess]:
     """Yield unused varying fields not named as measurements, commands first."""
     unread = list(_unread(log, rig))
     for guess in sorted(unread, key=lambda guess: not (guess.is_command or is_named("to_actuators", guess.topic))):

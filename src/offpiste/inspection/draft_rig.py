@@ -11,7 +11,6 @@ from msgspec import structs
 from offpiste.core.errors import OffpisteError, RigError
 from offpiste.inspection.channel_guesses import guess_channels
 from offpiste.inspection.clocks import read_by_arrival
-from offpiste.inspection.commanded_motion import is_turn_rate
 from offpiste.inspection.controls_by_numbers import find_controls, steering_candidates
 from offpiste.inspection.draft_channels import Known, draft_channels
 from offpiste.inspection.draft_pose import Entry, field_values, points_down, pose_cure
@@ -28,6 +27,7 @@ from offpiste.inspection.draft_values import (
 from offpiste.inspection.gear import reverses_by_pedal
 from offpiste.inspection.missing import no_pose
 from offpiste.inspection.recorded_log import ReceivedLog, is_bulk
+from offpiste.inspection.response import steering_fit, turn_rate_fit
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.usual_ranges import RANGES
 from offpiste.inspection.velocity import fit_frames
@@ -137,7 +137,8 @@ def _is_plain(log: Log, rig: Rig) -> bool:
         return False
     plain = structs.replace(rig, channels={**rig.channels, "steer": ChannelSource(source.fields[:1], source.topic)})
     try:
-        return not is_turn_rate(read_channel(log, plain, "steer", plain.channels["steer"])[0], seen.path, plain)
+        channel = read_channel(log, plain, "steer", plain.channels["steer"])[0]
+        return turn_rate_fit(channel, seen.path, plain, steering_fit(channel, seen.path, plain)) is None
     except OffpisteError:
         return False
 

@@ -13,7 +13,7 @@ from offpiste.inspection.channel_guesses import Guess
 from offpiste.inspection.commanded_motion import commanded_curvature
 from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.steering_fit import SteeringFit, steering_fits
+from offpiste.inspection.response import SteeringFit, steering_fits
 from offpiste.inspection.usual_ranges import RANGES
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log, Samples
@@ -108,7 +108,7 @@ class Driven(NamedTuple):
 
     def steering(self, name: str) -> SteeringFit | None:
         """Return the fit of the turning to a steering channel; None if the rig lacks it or the motion is too short."""
-        return steering_fits(self.drive, self.path, measured=False).get(name)
+        return steering_fits(self.drive, self.path).get(name)
 
 
 def driven(log: Log, rig: Rig) -> Driven | None:
@@ -140,8 +140,8 @@ def shown_wheelbase(seen: Driven | None) -> float:
         return 0.0
     wheelbase = abs(float(turning[rows] @ turning[rows] / (turning[rows] @ path.yaw_rate[rows])))
     fit = seen.steering("steer_angle")
-    if fit is not None and fit.extrapolated is not None and fit.extrapolated.strength > _CLEAR:
-        wheelbase = min(wheelbase, abs(float(fit.extrapolated.gain[0])))  # slip increases the apparent wheelbase
+    if fit is not None and fit.without_slip is not None and fit.without_slip.strength > _CLEAR:
+        wheelbase = min(wheelbase, 1 / fit.without_slip.value)  # slip increases the apparent wheelbase
     return wheelbase
 
 
@@ -160,8 +160,8 @@ def estimated_max_steer(log: Log, rig: Rig, fit: SteeringFit | None, wheelbase: 
     source = rig.channels.get("steer")
     if source is not None and source.turns:
         curvature = commanded_curvature(log.read(source.topic, source.fields).values, rig)
-    elif fit is not None and fit.gripping.strength >= _CLEAR:
-        curvature = abs(float(fit.gripping.gain[fit.gripping.best()]))
+    elif fit is not None and fit.settled.strength >= _CLEAR:
+        curvature = fit.curvature.value
     else:
         return 0.0
     return float(f"{np.arctan(curvature * wheelbase):.3g}")
@@ -174,7 +174,7 @@ def steering_straight(rig: Rig, fit: SteeringFit | None) -> float | None:
         fit: of the channel `steer`.
     """
     source = rig.channels.get("steer")
-    if source is None or not source.offset or fit is None or fit.gripping.strength < _CLEAR:
+    if source is None or not source.offset or fit is None or fit.settled.strength < _CLEAR:
         return None
     if not fit.centre_sigma < _CENTRE < abs(fit.centre):  # the usual centre may be correct
         return None

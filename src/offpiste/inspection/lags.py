@@ -12,21 +12,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from offpiste.core.conventions import SIGMA_PER_MEDIAN
-from offpiste.inspection.findings import Finding
 from offpiste.logs.channel import Channel
-from offpiste.rig.edits import Edit
 from offpiste.rig.rig import Rig
 
 LAGS: Final = np.arange(-1.5, 1.51, 0.05)
 """Candidate lags of the motion behind a control [s]."""
 _BLOCK: Final = 100
 """Number of rows of a block: 5 s."""
-_CLEARER: Final = 0.03
-"""Minimum gain in explained variance of an implausible lag over the best plausible one."""
-_LATE_CLEARER, _LATE_GAIN = 0.2, 0.1
-"""Minimum gain in correlation and minimum explained variance for a late motion."""
-_OUTSIDE: Final = 0.05
-"""Minimum distance of a reported lag from the plausible ones [s]: one grid step, and the usual delay of poses."""
 SURE: Final = 3.0
 """Significance threshold in standard deviations."""
 _OUTLIER: Final = 4.0
@@ -219,51 +211,3 @@ def sampled(channel: Channel, at: Float[np.ndarray, " n"], rig: Rig) -> Float[np
     """Return a control at some times, interpolated as in the rig; NaN in gaps."""
     read = channel.hold if rig.channels[channel.name].holds else channel.linear
     return read(at, max_gap=max(rig.clock.max_gap, 1.0))[:, 0]
-
-
-def check_delay(
-    name: str, fit: LagFit, own: tuple[float, float], rig: Rig, *, usual: float, clear: float, sign: int = 0
-) -> list[Finding]:
-    """Return a finding if the motion is earlier or later than the vehicle's own response.
-
-    Args:
-        own: plausible response delays [s].
-        usual: the response delay that a remedy leaves [s].
-        clear: minimum correlation for a reliable delay.
-        sign: expected sign of the effect; 0: either.
-    """
-    best, inside = fit.best(sign=sign), fit.best(*own, sign=sign)
-    gained, gained_sigma = fit.gained(best, inside)
-    # A best lag at an end of the range is no maximum: slow signals fit anywhere.
-    # Drifts and spinning wheels may cause weak late responses; motion before its cause has no such explanation.
-    late = fit.lags[best] > own[1]
-    if abs(fit.r[best]) < (clear + _LATE_CLEARER if late else clear) or gained < (_LATE_GAIN if late else _CLEARER):
-        return []
-    if best in (0, len(fit.lags) - 1) or gained < SURE * gained_sigma:
-        return []
-    lag, sigma = fit.delay(best)
-    outside = max(own[0] - lag, lag - own[1])
-    if outside < max(SURE * sigma, _OUTSIDE):
-        return []
-    evidence = f"the motion is {abs(lag):.2f} ± {sigma:.2f} s {'before' if lag < 0 else 'after'} it: "
-    evidence += f"R2 {fit.r[best] ** 2:.2f} there and {fit.r[inside] ** 2:.2f} at {fit.lags[inside]:.2f} s"
-    what = "is stamped after the motion that it causes" if lag < 0 else "comes long before the motion"
-    cures = delay_cures(name, lag, own, rig, usual=usual)
-    remedy = str(cures[0][0]) + ("; if it is called a command, it is a copy of a measurement" if lag < 0 else "")
-    return [Finding("warning", name, what, evidence, remedy, gained, cures)]
-
-
-def delay_cures(
-    name: str, lag: float, own: tuple[float, float], rig: Rig, *, usual: float
-) -> tuple[tuple[Edit, ...], ...]:
-    """Return candidate delays that restore the usual response, first no delay if the rig's own delay is the fault.
-
-    Args:
-        lag: present lag of the motion behind the channel [s].
-        own, usual: as in `check_delay`.
-    """
-    stated = rig.channels[name].delay
-    cures = [Edit(f"channels.{name}.delay", round(stated - lag + usual, 2))]
-    if stated and own[0] <= lag - stated <= own[1]:
-        cures.insert(0, Edit(f"channels.{name}.delay", 0.0))
-    return tuple((cure,) for cure in cures)

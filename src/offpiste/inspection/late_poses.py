@@ -15,12 +15,10 @@ from offpiste.core.geometry import planar_body_from_world
 from offpiste.inspection.driven_path import STEP, DrivenPath, fit_delayed
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, LagFit, fit_lags
-from offpiste.inspection.pedals import EFFECTS
-from offpiste.inspection.steering_fit import SteeringFit, moving_rows
+from offpiste.inspection.response import PRIORS, SteeringFit, moving_rows, prior
 from offpiste.inspection.velocity import fit_frames, fit_turn_rate, fit_wheel_speed, turn_rate_name
 from offpiste.logs.drive import Drive
 from offpiste.rig.edits import Edit
-from offpiste.rig.labels import is_measured_steering
 
 _LATE: Final = 0.12
 """Minimum reported delay [s]."""
@@ -38,9 +36,6 @@ _ROLLING: Final = 0.06
 """Standard deviation for rolling wheels [s]."""
 _ALL_SPIN: Final = 0.2
 """Misfit of the wheel speed above which the wheels count as spinning."""
-_PEDAL: Final = (0.1, 0.15)
-_STEERING: Final = {"steer": (0.12, 0.07), "steer_angle": (0.0, 0.07)}
-"""Usual delay of the motion behind its controls, and its standard deviation [s]."""
 _POSE: Final = ("position", "orientation", "yaw")
 _SENSORS: Final = {"steer": "steering", "steer_angle": "steering", "throttle": "pedals", "brake": "pedals"}
 """Groups of channels delayed together."""
@@ -160,12 +155,13 @@ def _intervals(
             yield _interval(behind, other, recorded.delay, recorded.delay_sigma, usual)
     for name, fit in steering.items():
         if fit.has_effect:
-            usual = _STEERING["steer_angle" if is_measured_steering(name, drive.rig) else "steer"]
-            yield _interval(heading, name, *fit.dynamic.delay(fit.dynamic.best(sign=fit.sign)), usual)
+            own = prior(name, drive.rig)
+            yield _interval(heading, name, *fit.dynamic.delay(fit.dynamic.best(sign=fit.sign)), (own.usual, own.spread))
     for name, pedal in pedals.items():
-        best = pedal.best(sign=EFFECTS[name])  # drivers may lift off in anticipation before the vehicle slows
-        if EFFECTS[name] * pedal.r[best] > _CLEAR and 0 < best < len(pedal.lags) - 1:
-            yield _interval("position", name, *pedal.delay(best), _PEDAL)
+        own = PRIORS[name]
+        best = pedal.best(sign=own.sign)  # drivers may lift off in anticipation before the vehicle slows
+        if own.sign * pedal.r[best] > _CLEAR and 0 < best < len(pedal.lags) - 1:
+            yield _interval("position", name, *pedal.delay(best), (own.usual, own.spread))
     yield from _behind_the_course(heading, path)
 
 

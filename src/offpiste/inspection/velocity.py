@@ -11,7 +11,7 @@ from offpiste.core.geometry import planar_body_from_world, yaw_rate_from_body_ra
 from offpiste.inspection.driven_path import DELAYS, TURNING, DrivenPath, FrameFit, fit_delayed, levelled, on_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.lags import SURE, fit_lags
-from offpiste.inspection.steering_fit import moving_rows
+from offpiste.inspection.response import moving_rows
 from offpiste.logs.channel import Channel, to_z_up, turning_sign
 from offpiste.logs.drive import Drive
 from offpiste.rig.channels import GEOGRAPHIC, ChannelSource, unit_factor
