@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapping.height_field import spinning_scan
-from offpiste.core.errors import MapError
+from mapping.test_voxel_kernels import contents
 from offpiste.mapping import free_space
 from offpiste.mapping.free_space import FreeSpace, FreeSpaceSettings, nearest_returns
 from offpiste.mapping.pipeline import FeatureCloud, MapPipeline, MapSettings
@@ -85,22 +85,8 @@ def test_an_image_holds_the_returns_of_the_pixels_around_each_direction():
     assert image.many.sum() == 9 + 9 + 6 + 6
 
 
-def held_places(held):
-    """x, y, z of each voxel's hit, and its level in its column."""
-    voxels, size, n = held.voxels, held.settings.size, held.cells
-    result = []
-    for j in range(held.low[1], held.low[1] + n):
-        for i in range(held.low[0], held.low[0] + n):
-            head = voxels.heads[j % n, i % n]
-            for level in range(31):
-                if head[1] >> level & 1:
-                    x, y, z = voxels.seen[voxels.slots[j % n, i % n, level], :3].astype(float)
-                    result.append(((i + 0.5 + x) * size, (j + 0.5 + y) * size, (head[0] + level + z) * size, level))
-    return np.array(result)
-
-
 @pytest.mark.parametrize("seed", range(3))
-def test_the_library_agrees_with_its_plain_functions(seed, monkeypatch):
+def test_voxels_are_cleared_alike_without_the_library(seed, monkeypatch):
     rng = np.random.default_rng(seed)
     sensor = rng.uniform(-1e3, 1e3, 3)
     clouds = [sensor + rng.normal(size=(n, 3)) * [15, 15, 2] for n in (4000, 0, 3000, 4000)]
@@ -109,22 +95,23 @@ def test_the_library_agrees_with_its_plain_functions(seed, monkeypatch):
     left_out = [rng.random(len(points)) < 0.1 for points in clouds]
     settings = FreeSpaceSettings(reach=12.0, every=2, times=2, returns=3, beyond=0.2)
     found = []
-    for name in ("library", "plain"):
-        if name == "plain":
-            monkeypatch.setattr(free_space, "put_returns", free_space.put_returns.plain)
-            monkeypatch.setattr(free_space, "clear_passed", free_space.clear_passed.plain)
+    for put, clear in (
+        (free_space.put_returns, free_space.clear_passed),
+        (free_space.put_returns.plain, free_space.clear_passed.plain),
+    ):
+        monkeypatch.setattr(free_space, "put_returns", put)
+        monkeypatch.setattr(free_space, "clear_passed", clear)
         held = VoxelMap(1, SMALL)
         held.recentre(sensor[:2] + np.array([15.0, 0.0]), sensor[2])  # rows of the sensor's square end at the border
-        held.insert(places, rng.normal(size=(5000, 1)), np.ones(5000, bool), np.ones(5000))
+        held.insert(places, places[:, :1], np.ones(5000, bool), np.ones(5000))
         space = FreeSpace(held, settings)
         gone = [space.clear(points, sensor, mask) for points, mask in zip(clouds, left_out, strict=True)]
         gone += [space.clear(clouds[0], np.array([x, 0.0, 0.0]), left_out[0]) for x in (np.nan, 1e300, -1e300)]
         image = nearest_returns(clouds[0], sensor, left_out[0])
-        found.append((gone, image.many, held.voxels.heads[..., 1:3], held.voxels.changed, held_places(held), held))
-    for one, other in zip(*(each[:-1] for each in found), strict=True):
+        found.append((gone, image.many, held.occupied, *contents(held)))
+    for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)
     assert sum(gone) > 15
-    assert held.occupied == len(held_places(held)) == found[0][-1].occupied
 
 
 def test_arrays_of_other_shapes_are_refused():
@@ -134,8 +121,3 @@ def test_arrays_of_other_shapes_are_refused():
     for sensor in (SENSOR[:2], SENSOR[None]):
         with pytest.raises(ValueError, match="a sensor of"):
             inspect.unwrap(nearest_returns)(np.zeros((3, 3)), sensor, np.zeros(3, bool))
-
-
-def test_settings_are_checked():
-    with pytest.raises(MapError, match="free space"):
-        FreeSpaceSettings(times=0)

@@ -6,6 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from offpiste.core.errors import MapError
+from offpiste.mapping.free_space import FreeSpaceSettings
+from offpiste.mapping.ghosts import GhostSettings
 from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
 from offpiste.mapping.voxels_to_layers import FlattenSettings, flatten
 
@@ -134,9 +136,17 @@ def test_memory_is_bounded_and_released_voxels_are_used_again():
     assert sum(array.nbytes for array in paper.voxels) < 360e6
 
 
-def test_invalid_settings_are_refused():
-    for wrong in ({"size": 0.0}, {"reach": float("nan")}, {"rule": "best"}, {"capacity": -1}, {"reach": 1e5}):
-        with pytest.raises(MapError, match="map settings"):
-            VoxelSettings(**wrong)
-    with pytest.raises(MapError, match="radii"):
-        FlattenSettings(fill_radius=-0.1)
+@pytest.mark.parametrize(
+    ("kind", "wrong", "said"),
+    [
+        (VoxelSettings, {"size": 0.0}, "map settings"), (VoxelSettings, {"reach": float("nan")}, "map settings"),
+        (VoxelSettings, {"rule": "best"}, "map settings"), (VoxelSettings, {"capacity": -1}, "map settings"),
+        (VoxelSettings, {"reach": 1e5}, "map settings"), (FlattenSettings, {"fill_radius": -0.1}, "radii"),
+        (GhostSettings, {"depth": 0.0}, "ghosts"), (GhostSettings, {"sectors": 2}, "ghosts"),
+        (GhostSettings, {"rings": 9999}, "ghosts"), (GhostSettings, {"window": 64}, "ghosts"),
+        (FreeSpaceSettings, {"times": 0}, "free space"),
+    ],
+)  # fmt: skip
+def test_invalid_settings_are_refused(kind, wrong, said):
+    with pytest.raises(MapError, match=said):
+        kind(**wrong)

@@ -7,7 +7,7 @@ import torch
 from mapping.test_voxel_map import SMALL, put
 from offpiste.mapping.terrain_sampler import sample_maps, stack_maps
 from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
-from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings, flatten, neighbour_offsets
+from offpiste.mapping.voxels_to_layers import FlattenSettings, flatten, neighbour_offsets
 
 N = 30
 
@@ -117,29 +117,6 @@ def test_features_fill_a_hit_without_any_but_not_from_another_height():
     layers = flatten(held)
     assert (layers.observed[N, N], layers.features[N, N]) == (True, 2)
     assert layers.elevation[N, N] == pytest.approx(0.1)
-
-
-@pytest.mark.parametrize(("channels", "count"), [(2, 1), (2, 40), (0, 4 * N * N), (2, 4 * N * N)])
-def test_single_cells_are_read_as_the_layers_have_them(channels, count):
-    """From a map that moves in between, so that rows wrap around, and whose layers are made now and then."""
-    held, rng = VoxelMap(channels, SMALL), np.random.default_rng(count)
-    one = Flattener(held, FlattenSettings(overhang_radius=0.6))
-    for step in range(20):
-        place = np.array([0.7 * step, -0.5 * step, 0.1 * step])
-        held.recentre(place[:2], place[2])
-        points = rng.uniform(-6, 6, (300, 3)) * [1, 1, rng.choice([0.02, 0.3, 1])] + place
-        features = rng.normal(size=(300, channels)).astype(np.float32)
-        held.insert(points, features, rng.random(300) < 0.5, rng.uniform(1, 40, 300).astype(np.float32))
-        if step % 7 == 3:
-            one.layers()
-        layers = flatten(held, one.settings)
-        assert 0 < layers.known.sum() < layers.known.size
-        # Now anywhere, now along a line, as wheels leave them.
-        spread = rng.uniform(0, 2 * N, 2)
-        rows, columns = (rng.uniform(0, spread[:, None], (2, count)) + (2 * N - spread[:, None])).astype(np.int64)
-        cells = one.cells(rows, columns)
-        for name in cells._fields:
-            np.testing.assert_array_equal(getattr(cells, name), getattr(layers, name)[rows, columns], err_msg=name)
 
 
 PLANES = {"z = x": (1.0, 0.0), "z = y": (0.0, 1.0), "z = -x/2 + y/3": (-0.5, 1 / 3)}
