@@ -1,6 +1,7 @@
 """Small vehicles, windows, logs and rigs that tests of several stages share."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,18 @@ from offpiste.rig.rig import Rig, parse_rig
 
 torch.set_num_threads(1)
 """Tensors here are small: threads cost more than they bring."""
+
+
+@contextmanager
+def torch_threads(count: int) -> Iterator[None]:
+    """Let torch and kernels use `count` threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
 
 VEHICLE = Vehicle(mass=800.0, wheelbase=2.2, max_steer=0.4, control=CONTROL, actuators=ACTUATORS, features=2)
 """A vehicle whose log has everything."""

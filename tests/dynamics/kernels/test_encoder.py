@@ -6,12 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from dynamics.kernels.test_rollout import same_for_threads
+from dynamics.kernels.test_rollout import Result, assert_agree, assert_same_for_threads, gradients
 from offpiste.dynamics.feature_encoder import Compressor, Identity
 from offpiste.dynamics.kernels.encoder import CELLS, codes_under_wheels, encode_cells, supports_encoder
-
-TOLERANCE = 2e-5
-"""Of the largest value of each tensor."""
 
 
 def example(features: int = 8, size: int = 4) -> Compressor:
@@ -34,15 +31,12 @@ def cells(count: int, features: int) -> tuple[Tensor, Tensor]:
     return values, valid
 
 
-def run(encoder: Compressor, values: Tensor, valid: Tensor, *, eager: bool) -> tuple[Tensor, dict[str, Tensor]]:
-    """Codes, and the gradients of a weighted sum of them."""
+def run(encoder: Compressor, values: Tensor, valid: Tensor, *, eager: bool) -> Result:
+    """Codes and their gradients."""
     values = values.to(encoder.mean.dtype)
     assert supports_encoder(encoder, values) is not eager
     codes = encoder(values, valid) if eager else encode_cells(encoder, values, valid)
-    weight = torch.randn(codes.shape, generator=torch.Generator().manual_seed(1)).to(codes.dtype)
-    encoder.zero_grad()
-    (weight * codes).sum().backward()
-    return codes, {name: p.grad.clone() for name, p in encoder.named_parameters() if p.grad is not None}
+    return (codes,), gradients(encoder, {}, codes)
 
 
 @pytest.mark.parametrize(
@@ -51,11 +45,8 @@ def run(encoder: Compressor, values: Tensor, valid: Tensor, *, eager: bool) -> t
 )
 def test_kernels_agree_with_the_eager_layers(count: int, features: int, size: int) -> None:
     encoder, (values, valid) = example(features, size), cells(count, features)
-    wanted, wanted_gradients = run(encoder, values, valid, eager=True)
-    found, gradients = run(copy.deepcopy(encoder).float(), values, valid, eager=False)
-    assert gradients.keys() == wanted_gradients.keys()
-    pairs = [(found, wanted), *((gradients[name], wanted_gradients[name]) for name in gradients)]
-    assert all((a.double() - b).abs().max() < TOLERANCE * b.abs().max() for a, b in pairs)
+    found = run(copy.deepcopy(encoder).float(), values, valid, eager=False)
+    assert_agree(found, run(encoder, values, valid, eager=True))
 
 
 def test_missing_features_and_those_beyond_the_first_are_not_read() -> None:
@@ -67,10 +58,7 @@ def test_missing_features_and_those_beyond_the_first_are_not_read() -> None:
 
 def test_numbers_do_not_depend_on_gradients_and_threads() -> None:
     encoder, (values, valid) = example().float(), cells(5 * CELLS, 8)
-    found, gradients = run(encoder, values, valid, eager=False)
-    with torch.no_grad():
-        assert torch.equal(encode_cells(encoder, values, valid), found)
-    same_for_threads(gradients, lambda: run(encoder, values, valid, eager=False)[1])
+    assert_same_for_threads(lambda: run(encoder, values, valid, eager=False))
 
 
 def test_unsupported_input_is_left_to_torch() -> None:

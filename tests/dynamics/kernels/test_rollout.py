@@ -1,4 +1,7 @@
-"""Kernels against the eager model in float64: the rollout, and every gradient that training uses."""
+"""Kernels of the library, and C printed for GPUs and compiled here, against the eager model in float64.
+
+Rollouts are compared, and all gradients that training uses.
+"""
 
 import copy
 from collections.abc import Callable
@@ -8,11 +11,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from factories import coded
+from factories import coded, torch_threads
+from host_kernels import HostKernels, needs_gcc
 from offpiste.core.conventions import ACTUATORS, CONTROL
-from offpiste.core.errors import DatasetError
+from offpiste.core.errors import DatasetError, OffpisteError
 from offpiste.core.state import ModelState, RecordedTerrain, Terrain, Trajectory
-from offpiste.dynamics import ConstantMotion, Hybrid, Parametric, Vehicle, rollout
+from offpiste.dynamics import MODELS, ConstantMotion, Hybrid, Parametric, Vehicle, rollout
+from offpiste.dynamics.header.gpu import check_kernels, gpu_kernels, prepared
+from offpiste.dynamics.header.recorded import recorded_text, rollout_by_kernels
 from offpiste.dynamics.kernels import autograd
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
 from offpiste.native.tensors import call
@@ -100,16 +106,17 @@ def windows(model: Hybrid | Parametric, batch: int, steps: int) -> Inputs:
     return ModelState(state, actuators, recurrent), control, replace(Terrain.of(normal), latent=latent)
 
 
-def run(
-    model: Hybrid | Parametric, inputs: Inputs, roll_out: Callable[..., Trajectory] | None
-) -> tuple[Trajectory, dict[str, Tensor]]:
-    """The trajectory, and the gradients of a weighted sum of all that it has.
+Result = tuple[tuple[Tensor, ...], dict[str, Tensor]]
+"""Tensors, and the gradients of a weighted sum of them by name."""
+
+
+def run(model: Hybrid | Parametric, inputs: Inputs, roll_out: Callable[..., Trajectory] | None) -> Result:
+    """States and actuators, and their gradients.
 
     Args:
         roll_out: from model, model state, controls and terrain; None for the eager one.
     """
     dtype = next(model.parameters()).dtype
-    model.zero_grad()
     model_state, control, terrain = inputs
     leaves = {"state": model_state.state, "recurrent": model_state.recurrent, "latent": terrain.latent}
     leaves = {name: leaf.to(dtype, copy=True).requires_grad_() for name, leaf in leaves.items()}
@@ -120,52 +127,122 @@ def run(
     else:
         assert roll_out is not rollout_recorded or supports(model, control.device, dtype)
         found = roll_out(model, model_state, control, terrain)
-    draw = torch.Generator().manual_seed(1)
+    scaled = found.state / torch.tensor([10, 10, 1, 2, 1, 1])
     present = [i for i, name in enumerate(ACTUATORS) if name in model.vehicle.actuators]
-    weight = torch.randn(found.state.shape, generator=draw).to(dtype)
-    loss = (weight / torch.tensor([10, 10, 1, 2, 1, 1]) * found.state).sum()
-    loss = loss + (weight[..., :4] * found.actuators)[..., present].sum()
-    loss.backward()
-    leaves |= dict(model.named_parameters())
-    return found, {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None and leaf.numel()}
+    return (found.state, found.actuators), gradients(model, leaves, scaled, found.actuators[..., present])
 
 
-def difference(found: Tensor, wanted: Tensor) -> float:
-    """The largest error over the largest value."""
-    assert (found.isnan() == wanted.isnan()).all()
-    found, wanted = found.detach().double().nan_to_num(), wanted.detach().nan_to_num()
-    return float((found - wanted).abs().max() / wanted.abs().max().clamp(min=1e-12))
+def gradients(model: torch.nn.Module, leaves: dict[str, Tensor], *values: Tensor) -> dict[str, Tensor]:
+    """Gradients of a random weighted sum of values for the leaves and the parameters of a model, if enabled."""
+    if not torch.is_grad_enabled():
+        return {}
+    leaves, draw = leaves | dict(model.named_parameters()), torch.Generator().manual_seed(1)
+    loss = sum((torch.randn(each.shape, generator=draw).to(each.dtype) * each).sum() for each in values)
+    wanted = {name: leaf for name, leaf in leaves.items() if leaf.requires_grad and leaf.numel()}
+    found = torch.autograd.grad(loss, list(wanted.values()), allow_unused=True)
+    return {name: each for name, each in zip(wanted, found, strict=True) if each is not None}
 
 
-def same_for_threads(gradients: dict[str, Tensor], again: Callable[[], dict[str, Tensor]]) -> None:
-    """Check that gradients do not depend on the number of threads."""
-    threads = torch.get_num_threads()
-    try:
-        for other in (1, 2, 3):
-            torch.set_num_threads(other)
-            for name, gradient in again().items():
+def assert_agree(found: Result, wanted: Result, tolerance: float = TOLERANCE) -> None:
+    """Check each tensor's largest error over its largest value."""
+    assert found[1].keys() == wanted[1].keys()
+    names = [*map(str, range(len(wanted[0]))), *wanted[1]]
+    pairs = zip((*found[0], *found[1].values()), (*wanted[0], *(wanted[1][name] for name in found[1])), strict=True)
+    errors = {}
+    for name, (one, other) in zip(names, pairs, strict=True):
+        assert (one.isnan() == other.isnan()).all(), name
+        one, other = one.detach().double().nan_to_num(), other.detach().nan_to_num()
+        errors[name] = float((one - other).abs().max() / other.abs().max().clamp(min=1e-12))
+    assert {name: error for name, error in errors.items() if not error < tolerance} == {}
+
+
+def assert_same_for_threads(run: Callable[[], Result]) -> None:
+    """Check that values and gradients do not depend on the number of threads, and values not on gradients."""
+    values, wanted = run()
+    with torch.no_grad():
+        assert all(map(torch.equal, run()[0], values))
+    for count in (1, 2, 3):
+        with torch_threads(count):
+            for name, gradient in run()[1].items():
                 # The product with the codes is torch's, which some processors round otherwise in three threads.
-                room = 1e-6 * float(gradients[name].abs().max()) if other == 3 else 0.0
-                torch.testing.assert_close(gradient, gradients[name], rtol=0.0, atol=room)
-    finally:
-        torch.set_num_threads(threads)
+                room = 1e-6 * float(wanted[name].abs().max()) if count == 3 else 0.0
+                torch.testing.assert_close(gradient, wanted[name], rtol=0.0, atol=room)
 
 
-def compare(model: Hybrid | Parametric, batch: int, steps: int) -> None:
-    inputs = windows(model, batch, steps)
-    wanted, wanted_gradients = run(model, inputs, None)
-    found, gradients = run(copy.deepcopy(model).float(), inputs, rollout_recorded)
-    assert gradients.keys() == wanted_gradients.keys()
-    errors = {name: difference(gradients[name], wanted_gradients[name]) for name in gradients}
-    errors["states"] = difference(found.state, wanted.state)
-    errors["actuators"] = difference(found.actuators, wanted.actuators)
-    assert {name: error for name, error in errors.items() if not error < TOLERANCE} == {}
+def printed(model: Hybrid | Parametric, *flags: str) -> Callable[..., Trajectory]:
+    """Rollouts by C printed for a model."""
+    kernels = HostKernels(recorded_text(model), *flags)
+    return lambda *given: rollout_by_kernels(kernels, *given)
 
 
+PRINTED = [pytest.param("printed", marks=needs_gcc)]
+paths = pytest.mark.parametrize("path", ["library", *PRINTED])
+
+
+def compare(model: Hybrid | Parametric, batch: int, steps: int, path: str) -> dict[str, Tensor]:
+    """Compare with the eager model; return the gradients.
+
+    Args:
+        path: "library", "printed" (in double precision), or "printed float32".
+    """
+    inputs, mine = windows(model, batch, steps), copy.deepcopy(model)
+    wanted = run(model, inputs, None)
+    if path == "printed":
+        found = run(mine, inputs, printed(mine, "-DOFFPISTE_DOUBLE"))
+    else:
+        mine = mine.float()
+        found = run(mine, inputs, rollout_recorded if path == "library" else printed(mine))
+    assert_agree(found, wanted, 1e-6 if path == "printed" else TOLERANCE)
+    return found[1]
+
+
+@paths
 @pytest.mark.parametrize("channels", CHANNELS)
-def test_kernels_agree_with_the_eager_model(channels: str) -> None:
-    kind = Parametric if channels in ("all", "no actuators", "gear") else Hybrid
-    compare(example(*CHANNELS[channels], codes=0, kind=kind), batch=33, steps=8)
+def test_kernels_agree_with_the_eager_model(channels: str, path: str) -> None:
+    kind = Parametric if channels in ("all", "no actuators") or "gear" in channels else Hybrid
+    compare(example(*CHANNELS[channels], codes=0, kind=kind), batch=33, steps=8, path=path)
+
+
+@paths
+@pytest.mark.parametrize(("channels", "batch"), [("all", 1), ("no actuators", 70), ("no throttle", 64)])
+def test_kernels_agree_with_codes_of_the_ground(channels: str, batch: int, path: str) -> None:
+    compare(example(*CHANNELS[channels], codes=4, kind=Hybrid), batch=batch, steps=8, path=path)
+
+
+@pytest.mark.parametrize("path", ["library", pytest.param("printed float32", marks=needs_gcc)])
+def test_kernels_agree_over_a_second_and_with_a_frozen_compensator(path: str) -> None:
+    model = example(*CHANNELS["all"], codes=2, kind=Hybrid)
+    compare(model, batch=20, steps=50, path=path)
+    model.compensator.requires_grad_(False)
+    compare(model, batch=3, steps=5, path=path)
+
+
+VEHICLE = Vehicle(1200.0, 2.1, 0.5, CONTROL, ACTUATORS, features=5)
+STARTS = ("init_cell", "init_output", "encoder")
+"""Parts of a model outside the rollout: their gradients come by those of its start and of codes."""
+
+
+@paths
+@pytest.mark.parametrize("name", [name for name in MODELS if MODELS[name](VEHICLE, seed=0).kernel_parts() is not None])
+def test_all_weights_of_every_model_have_gradients(name: str, path: str) -> None:
+    model = MODELS[name](VEHICLE, seed=0)
+    model = randomised(model, model.codes)
+    learns = {n for n, p in model.named_parameters() if p.requires_grad and not any(part in n for part in STARTS)}
+    assert learns <= compare(model, 9, 6, path).keys()
+
+
+@paths
+def test_a_window_with_nan_changes_no_other(path: str) -> None:
+    model = example(*CHANNELS["brake and steer"], codes=0, kind=Hybrid).float().requires_grad_(False)
+    roll_out = rollout_recorded if path == "library" else printed(model)
+    model_state, control, terrain = windows(model, 40, 5)
+    good = roll_out(model, model_state, control, terrain)
+    assert good.actuators[..., 3].isnan().all(), "absent"
+    model_state.state[7, 3] = torch.nan
+    bad = roll_out(model, model_state, control, terrain)
+    assert bad.state[7, -1].isnan().any()
+    others = [i for i in range(40) if i != 7]
+    assert torch.equal(bad.state[others], good.state[others])
 
 
 def test_gears_matter_and_forward_equals_no_gear() -> None:
@@ -179,18 +256,6 @@ def test_gears_matter_and_forward_equals_no_gear() -> None:
     assert torch.equal(forward.state, rollout_recorded(plain, model_state, control[..., :3], terrain).state)
     control[..., 3] = -1
     assert (rollout_recorded(geared, model_state, control, terrain).state[:, -1, 3] < forward.state[:, -1, 3]).all()
-
-
-@pytest.mark.parametrize(("channels", "batch"), [("all", 1), ("no actuators", 70), ("no throttle", 64)])
-def test_kernels_agree_with_codes_of_the_ground(channels: str, batch: int) -> None:
-    compare(example(*CHANNELS[channels], codes=4, kind=Hybrid), batch=batch, steps=8)
-
-
-def test_kernels_agree_over_a_second_and_with_a_frozen_compensator() -> None:
-    compare(example(*CHANNELS["all"], codes=2, kind=Hybrid), batch=20, steps=50)
-    model = example(*CHANNELS["all"], codes=0, kind=Hybrid)
-    model.compensator.requires_grad_(False)
-    compare(model, batch=3, steps=5)
 
 
 def test_states_of_every_step_are_kept_only_where_gradients_are_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,27 +272,66 @@ def test_states_of_every_step_are_kept_only_where_gradients_are_wanted(monkeypat
 def test_without_gradients_and_with_any_number_of_threads_the_numbers_are_the_same() -> None:
     model = example(*CHANNELS["all"], codes=4, kind=Hybrid).float()
     inputs = windows(model, 100, 7)
-    found, gradients = run(model, inputs, rollout_recorded)
-    with torch.no_grad():
-        assert torch.equal(rollout_recorded(model, *inputs).state, found.state)
-    same_for_threads(gradients, lambda: run(model, inputs, rollout_recorded)[1])
+    assert_same_for_threads(lambda: run(model, inputs, rollout_recorded))
 
 
 def test_what_kernels_cannot_do_is_refused() -> None:
-    model = example(*CHANNELS["all"], codes=4, kind=Hybrid).float()
-    model_state, control, terrain = windows(model, 3, 2)
-    cpu = torch.device("cpu")
+    model, cpu = example(*CHANNELS["all"], codes=4, kind=Hybrid).float(), torch.device("cpu")
     assert supports(model, cpu, torch.float32)
     assert not supports(model, cpu, torch.float64)
     assert not supports(model, torch.device("cuda"), torch.float32)
     assert not supports(ConstantMotion(model.vehicle), cpu, torch.float32)
-    with pytest.raises(ValueError, match="latent"):
-        rollout_recorded(model, model_state, control, replace(terrain, latent=terrain.latent[..., :3]))
-    later = Terrain(terrain.normal[:, 1:], terrain.known[:, 1:], terrain.latent[:, 1:])
-    with pytest.raises(ValueError, match="normals"):
-        rollout_recorded(model, model_state, control, later)
     model.actuators.requires_grad_(True)
     assert not supports(model, cpu, torch.float32)
     blind = example(("throttle",), (), codes=0, kind=Parametric).float()
     with pytest.raises(DatasetError, match="steering"):
         rollout_recorded(blind, *windows(blind, 3, 2))
+
+
+@paths
+@pytest.mark.parametrize("wrong", ["codes", "type", "controls", "steps"])
+def test_inputs_that_do_not_fit_are_refused(wrong: str, path: str) -> None:
+    model = example(*CHANNELS["all"], codes=4, kind=Hybrid).float().requires_grad_(False)
+    model_state, control, terrain = windows(model, 4, 3)
+    given = {
+        "codes": (control, replace(terrain, latent=terrain.latent[..., :3])),
+        "type": (control.double(), terrain),
+        "controls": (torch.cat((control, control[..., :1]), dim=-1), terrain),
+        "steps": (control, terrain.rows(slice(2))),
+    }[wrong]
+    with pytest.raises(ValueError, match=r"kernels|latent|normals"):
+        (rollout_recorded if path == "library" else printed(model))(model, model_state, *given)
+
+
+@needs_gcc
+def test_printed_kernels_are_checked_before_their_first_use() -> None:
+    model, cpu = example(*CHANNELS["all"], codes=4, kind=Hybrid).float(), torch.device("cpu")
+    for last in model.compensator.output[-1].parameters():  # as before training
+        torch.nn.init.zeros_(last)
+    text = recorded_text(model)
+    check_kernels(HostKernels(text), model, cpu)
+    for right, wrong in (
+        ("0.02f*yaw_rate", "0.021f*yaw_rate"),
+        ("1.0f - a->layer[k]", "0.9f - a->layer[k]"),
+        ("start_bar[k * n + i] = bar[k];", "start_bar[k * n + i] = 0.0f / 0.0f;"),
+        ("constants_bar[k * n + i] = c_bar[k];", "constants_bar[k * n + i] = 5.0f;"),
+    ):
+        assert right in text
+        with pytest.raises(OffpisteError, match="rollouts on cpu differ from the eager model's"):
+            check_kernels(HostKernels(text.replace(right, wrong)), model, cpu)
+    assert gpu_kernels(model, cpu, torch.float32) is None
+
+
+@needs_gcc
+def test_printed_kernels_are_prepared_once_for_each_model_and_device() -> None:
+    model, cpu, compiled = example(*CHANNELS["all"], codes=0, kind=Parametric).float(), torch.device("cpu"), []
+
+    def compile_here(text: str, device: torch.device) -> HostKernels:
+        compiled.append((text, device))
+        return HostKernels(text)
+
+    kernels = prepared(model, cpu, compile_here)
+    assert prepared(model, cpu, compile_here) is kernels
+    assert compiled == [(recorded_text(model), cpu)]
+    prepared(copy.deepcopy(model), cpu, compile_here)
+    assert len(compiled) == 2
