@@ -1,7 +1,7 @@
 """Grids of a world: smooth random fields to fill them, and interpolation to read them.
 
 The physics reads single places in C++ (`native/cpp/simulation/grids.h`); `read_grid` reads many places at once. Both
-clamp places beyond the border.
+clamp places beyond the border, and read the first column or row where a coordinate is NaN.
 """
 
 import cv2
@@ -76,10 +76,14 @@ def read_grid(
     resolution: float,
     places: Float[np.ndarray, "n 2"],
 ) -> Float[np.ndarray, "n ..."]:
-    """Return the values of a grid of a world at many places x, y [m], bilinear, clamped at the border."""
+    """Return the values of a grid of a world at many places x, y [m], bilinear, clamped at the border.
+
+    A NaN coordinate reads the first column or row.
+    """
     rows, columns, *values = grid.shape
     last = np.array([[columns - 1], [rows - 1]])
     position = np.clip((places.T - np.array(origin)[:, None]) / resolution, 0, last)
+    position[np.isnan(position)] = 0
     i, j = index = np.minimum(position.astype(int), last - 1)
     u, v = (position - index).reshape(2, -1, *(1 for _ in values))
     nodes, first = grid.reshape(-1, *values), j * columns + i  # `take` is several times faster than two indices
