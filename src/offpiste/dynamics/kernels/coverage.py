@@ -22,7 +22,7 @@ from offpiste.dynamics.vehicle import Vehicle
 
 logger = logging.getLogger(__name__)
 
-EAGER_COST: Final = "20 times slower in training, 100 times in planning"
+EAGER_COST: Final = "20 times slower in training, 50 to 100 times in planning"
 """Time of eager steps relative to the kernels (docs/results.md)."""
 
 _HOOKS: Final = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks")
