@@ -143,3 +143,11 @@ def test_two_lidars_on_one_topic_are_not_mixed(tmp_path):
     sensors = open_sensors(log, sensor_rig(lidar + 'frame = "l"\n'))
     with pytest.raises(LogError, match=r"'top': its topic has several senders, of frames 'l' and 'r'; give each"):
         list(sensors.stream())
+
+
+def test_quaternions_of_random_signs_have_one_sender():
+    log = drive_log(seconds=40.0)
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], len(log.data["odom"][0]))
+    for field in ("qx", "qy", "qz", "qw"):
+        log = log.change("odom", field, lambda values: values * signs)
+    assert ALTERNATE not in {finding.what for finding in inspect_log(log, parse_rig(RIG, where="test")).findings}

@@ -115,9 +115,12 @@ def test_voxels_are_cleared_alike_without_the_library(seed, monkeypatch):
 
 
 def test_arrays_of_other_shapes_are_refused():
-    for points, mask in ((np.zeros((3, 2)), np.zeros(3, bool)), (np.zeros((3, 3)), np.zeros(2, bool))):
-        with pytest.raises(ValueError, match="left out"):
-            inspect.unwrap(nearest_returns)(points, SENSOR, mask)
-    for sensor in (SENSOR[:2], SENSOR[None]):
-        with pytest.raises(ValueError, match="a sensor of"):
-            inspect.unwrap(nearest_returns)(np.zeros((3, 3)), sensor, np.zeros(3, bool))
+    points, mask = np.zeros((3, 3)), np.zeros(3, bool)
+    for given in (
+        (points[:, :2], SENSOR, mask),
+        (points, SENSOR, mask[:2]),
+        (points, SENSOR[:2], mask),
+        (points, SENSOR[None], mask),
+    ):
+        with pytest.raises(ValueError, match="points, left_out and sensor have shapes"):
+            inspect.unwrap(nearest_returns)(*given)

@@ -42,8 +42,10 @@ def _alternating(topic: Recorded, rig: Rig) -> float:
     for name, source in rig.channels.items():
         if source.topic == topic.topic.name and topic.has(source):
             values = topic.columns(source)
-            least = _LARGE_STEP if name == "position" else _LARGE
-            shares.append(_turns(values[np.isfinite(values).all(axis=1)], least))
+            values = values[np.isfinite(values).all(axis=1)]
+            if name == "orientation":  # a quaternion and its negative are equal
+                values = np.einsum("ni,nj->nij", values, values).reshape(len(values), -1)
+            shares.append(_turns(values, _LARGE_STEP if name == "position" else _LARGE))
     return max(shares)
 
 
