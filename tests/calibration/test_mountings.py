@@ -8,8 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import textured_world as world
-from offpiste.calibration.camera import check_camera, estimate_rotation, matched
+from offpiste.calibration.camera import check_camera
 from offpiste.calibration.camera_place import estimate_place
+from offpiste.calibration.image_motion import estimate_rotation, matched
 from offpiste.calibration.lidar import check_lidar, estimate_lidar
 from offpiste.calibration.misfit import turned
 from offpiste.calibration.mountings import EstimatedMounting, estimated
@@ -63,9 +64,8 @@ def test_camera_from_a_guess_far_off():
 
 def surfaced(camera, *, images=None, lidar=None, lidar_parameters=None, scans=None):
     """Fit of a camera to what its images and scans of a LiDAR show of the same surfaces."""
-    matches = matched(camera, world.images() if images is None else images)
-    scans = world.scans() if scans is None else scans
-    return check_camera(camera, matches, lidar or world.lidar(), scans, world.poses(), lidar_parameters)
+    images, scans = world.images() if images is None else images, world.scans() if scans is None else scans
+    return check_camera(camera, images, lidar or world.lidar(), scans, world.poses(), lidar_parameters)
 
 
 def test_the_place_of_a_camera():
@@ -131,7 +131,7 @@ def test_lidar(turn, late):
     as_planted(check_lidar(world.lidar(turn), world.scans(late=late), world.poses()), turn, late)
 
 
-@pytest.mark.parametrize(("turn", "late"), [((0, 0, 0), 0.0), (FAR, 0.0), ((0, 0, 0), 0.08)])
+@pytest.mark.parametrize(("turn", "late"), [((0, 0, 0), 0.0), (TURN, 0.0), ((0, 0, 0), 0.08)])
 def test_camera(turn, late):
     found = surfaced(world.camera(turn), images=world.images(late=late))
     as_planted(found, turn, late, degrees=0.15, seconds=0.004)

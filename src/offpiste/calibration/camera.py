@@ -1,9 +1,8 @@
-"""Estimates of a camera's mounting and delay from features matched in pairs of its images, and poses.
+"""Check of camera mounting and stamps: scan points must look alike in two images.
 
-Features (SIFT, Lowe 2004) do not depend on the mounting. The second direction of a feature must lie in the epipolar
-plane of the first: translation determines two axes (the direction of travel in the image), rotation the third. Where
-the first direction meets a surface in a scan of a LiDAR, the second one must show the same place. From a rough guess,
-all rotations within 45 degrees are tried, and robust fits refine the best ones.
+A small square on a surface, whose plane is known from a scan, is extracted from one image and warped into the other
+with the assumed mounting and stamps. The shift that fits best (normalised cross-correlation, Lewis 1995) depends on
+the mounting while the vehicle moves or turns, and on the delay while it turns, including on bumps.
 """
 
 from collections.abc import Sequence
@@ -12,289 +11,190 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
-from offpiste.calibration.misfit import (
-    LEAST_PAIRS,
-    Misfit,
-    Pair,
-    Parameters,
-    differentiated,
-    fit_misfit,
-    planes,
-    turned,
-)
+from offpiste.calibration.misfit import PRIOR, Misfit, Pair, Parameters, differentiated, fit_misfit, planes, turned
 from offpiste.calibration.samples import Grey, Scan, SmallCamera, pairs
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 from offpiste.perception.motion_compensation import inverse, transformed
+from offpiste.perception.projection import occluded_points, project_to_pinhole
 
-_FEATURES: Final = 1500
-"""Maximum number of features per image."""
-_CONTRAST: Final = 0.01
-"""Minimum contrast of a feature; OpenCV's default of 0.04 leaves few on sand."""
-_RATIO: Final = 0.75
-"""Maximum ratio of the distances to the best and the second-best feature (Lowe 2004)."""
-_LEAST: Final = 15
-"""Minimum number of matches in a pair."""
-_BASELINE: Final = 0.3
-"""Minimum baseline between two images [m]."""
-_WIDE: Final = np.deg2rad(45.0)
-"""Maximum rotation from the guess [rad]."""
-_COARSE: Final = np.deg2rad(5.0)
-"""Spacing of the candidate rotations [rad]."""
-_SAMPLE: Final = 600
-"""Number of matches used to compare rotations."""
-_TRUNCATED: Final = np.deg2rad(1.0)
-"""Truncation of a match's angle from its epipolar line [rad]."""
-_STARTS: Final = 5
-"""Maximum number of rotations from which the fit starts."""
-_PRIOR: Final = np.array([*np.deg2rad([30.0, 30.0, 30.0]), 0.1])
-"""Standard deviations of the prior of the fit to epipolar lines [rad, rad, rad, s]."""
+_HALF: Final = 6
+"""Half the side of a square [px]."""
+_SEARCH: Final = 12
+"""Search radius of a square [px]."""
+_SQUARES: Final = 150
+"""Maximum number of squares per image pair."""
+_ALIKE: Final = 0.8
+"""Minimum correlation of a match."""
 _OLD: Final = 0.3
-"""Maximum time between an image and its scan [s]."""
-_BESIDE: Final = np.deg2rad(2.0)
-"""Maximum angle between a feature and the scan point that gives its surface [rad]."""
+"""Maximum time between an image and the scan used for its depths [s]."""
 _FURTHEST: Final = 40.0
-"""Maximum distance of a surface [m]."""
-_NOWHERE: Final = np.zeros((0, 3))
-
-
-@dataclass(frozen=True)
-class Matches:
-    """Directions of points matched in two images.
-
-    Attributes:
-        times: stamps of the two images [s].
-        one, other: unit vectors in the camera's frame.
-    """
-
-    times: tuple[float, float]
-    one: Float[np.ndarray, "n 3"]
-    other: Float[np.ndarray, "n 3"]
-
-
-def matched(camera: SmallCamera, images: Sequence[Grey]) -> list[Matches]:
-    """Return the features shared by consecutive images; images that repeat the one before show no motion."""
-    sift = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=_CONTRAST)
-    mask = camera.free.astype(np.uint8) * 255
-    from_pixels = np.linalg.inv(camera.rectifier.pinhole.matrix)
-    found: dict[int, tuple[Float[np.ndarray, "n 3"], np.ndarray]] = {}
-    result = []
-    for couple in pairs([image.time for image in images]):
-        if np.array_equal(images[couple[0]].pixels, images[couple[1]].pixels):
-            continue
-        for k in couple:
-            if k not in found:
-                points, described = sift.detectAndCompute(images[k].pixels, mask)
-                pixels = np.array([(*point.pt, 1.0) for point in points]).reshape(-1, 3)
-                rays = pixels @ from_pixels.T
-                found[k] = (
-                    rays / np.linalg.norm(rays, axis=1, keepdims=True),
-                    described if described is not None else np.zeros((0, 128), np.float32),
-                )
-        (one, first), (other, second) = (found[k] for k in couple)
-        if min(len(one), len(other)) < _LEAST:
-            continue
-        best = cv2.BFMatcher().knnMatch(first, second, k=2)
-        kept = [match[0] for match in best if len(match) == 2 and match[0].distance < _RATIO * match[1].distance]
-        # Ambiguous features are dropped.
-        claims = np.bincount([match.trainIdx for match in kept], minlength=len(other))
-        index = np.array([(m.queryIdx, m.trainIdx) for m in kept if claims[m.trainIdx] == 1], np.int64).reshape(-1, 2)
-        if len(index) >= _LEAST:
-            times = images[couple[0]].time, images[couple[1]].time
-            result.append(Matches(times, one[index[:, 0]], other[index[:, 1]]))
-    return result
 
 
 def check_camera(
     camera: SmallCamera,
-    matches: Sequence[Matches],
+    images: Sequence[Grey],
     lidar: Lidar,
     scans: Sequence[Scan],
     poses: Poses,
     lidar_parameters: Parameters | None = None,
+    *,
+    prior: Parameters = PRIOR,
+    start: Parameters | None = None,
 ) -> Misfit | None:
-    """Estimate the errors of a camera's mounting and stamps; None with too few images near scans.
+    """Estimate the errors of a camera's mounting and stamps; None with too few usable images.
 
     Args:
-        lidar, scans: source of the surfaces.
+        lidar, scans: source of the depths.
         lidar_parameters: misfit of the LiDAR, used for correction.
+        prior, start: as for `fit_misfit`; seven entries also estimate the position.
     """
     given = np.zeros(4) if lidar_parameters is None else lidar_parameters
     times = np.array([scan.time for scan in scans]) - given[3]
     couples = []
-    for one in matches:
-        nearest = int(np.abs(times - one.times[0]).argmin()) if len(times) else -1
-        if nearest >= 0 and abs(times[nearest] - one.times[0]) < _OLD:
+    for i, j in pairs([image.time for image in images]):
+        repeated = np.array_equal(images[i].pixels, images[j].pixels)  # shows no motion
+        nearest = int(np.abs(times - images[i].time).argmin()) if len(times) and not repeated else -1
+        if nearest >= 0 and abs(times[nearest] - images[i].time) < _OLD:
             world = scans[nearest].in_world(lidar.body_from_lidar, poses, given)
-            world = world[np.isfinite(world).all(axis=1)]
-            couples.append((one, world, cKDTree(world)))
+            couples.append((images[i], images[j], world[np.isfinite(world).all(axis=1)]))
 
-    def compare(now: Parameters) -> list[Pair]:
-        mounting = camera.camera.body_from_camera
-        return [_compared(one, mounting, poses, now, world, tree) for one, world, tree in couples]
+    def compare(parameters: Parameters) -> list[Pair]:
+        return [_compared(camera, one, other, world, poses, parameters) for one, other, world in couples]
 
-    return fit_misfit(compare)
+    return fit_misfit(compare, prior=prior, start=start)
 
 
 def _compared(
-    matches: Matches,
-    body_from_camera: Float[np.ndarray, "4 4"],
-    poses: Poses,
-    now: Parameters,
-    world: Float[np.ndarray, "n 3"] = _NOWHERE,
-    tree: cKDTree | None = None,
+    camera: SmallCamera, one: Grey, other: Grey, world: Float[np.ndarray, "n 3"], poses: Poses, parameters: Parameters
 ) -> Pair:
-    """Return angles from epipolar planes, and distances from the places where first directions meet surfaces [rad].
+    """Return the residual shifts of squares, x and y [px], and their Jacobian."""
+    matrix, nothing = camera.rectifier.pinhole.matrix, Pair(np.zeros(0), np.zeros((0, len(parameters))))
+    first, second = (_camera_pose(camera, image.time, poses, parameters) for image in (one, other))
+    if first is None or second is None or len(world) < 100:
+        return nothing
+    points, at = _squares(camera, one, world, first)
+    if not len(points):
+        return nothing
+    normal, flat = planes(world, cKDTree(world), points)
+    points, at, normal = points[flat], at[flat], normal[flat]
+    if not len(points):
+        return nothing
+    shift, same = _shifts(one, other, at, _Mapping(matrix, first, second, points, normal))
+    points, normal, shift = points[same], normal[same], shift[same]
+    back = _Mapping(matrix, second, first, points, normal)
 
-    Args:
-        world: points of a scan, with their tree.
-    """
+    def residual(now: Parameters) -> np.ndarray:
+        # Project the points into both cameras; the second projection is mapped back to the first image.
+        views = [_camera_pose(camera, image.time, poses, now) for image in (one, other)]
+        if views[0] is None or views[1] is None:
+            return np.full(2 * len(points), np.nan)
+        here, there = (_pixels(matrix, view, points) for view in views if view is not None)
+        expected = back(there[:, None])[:, 0] - here
+        return (shift - expected).ravel()
 
-    def cameras(parameters: Parameters) -> np.ndarray:
-        return poses.at(np.array(matches.times) - parameters[3]) @ turned(body_from_camera, parameters)
+    return differentiated(residual, parameters)
 
-    rows, at, normal = _surfaces(matches.one, cameras(now)[0], world, tree)
-    one, other = matches.one[rows], matches.other[rows, :2] / matches.other[rows, 2:]
 
-    def residual(parameters: Parameters) -> np.ndarray:
-        here, there = cameras(parameters)
-        rays, origin = one @ here[:3, :3].T, here[:3, 3]
+@dataclass(frozen=True)
+class _Mapping:
+    """Mapping between two images by planes in the world, one plane per square."""
+
+    matrix: Float[np.ndarray, "3 3"]
+    world_from_one: Float[np.ndarray, "4 4"]
+    world_from_other: Float[np.ndarray, "4 4"]
+    points: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+
+    def __call__(self, pixels: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, "n k 2"]:
+        """Return pixels in the other image [px]; NaN if a plane is not visible."""
+        rays = np.concatenate((pixels, np.ones((*pixels.shape[:2], 1))), axis=2)
+        rays = rays @ (self.world_from_one[:3, :3] @ np.linalg.inv(self.matrix)).T
+        origin = self.world_from_one[:3, 3]
+        height = np.einsum("ni,ni->n", self.normals, self.points - origin)
         with np.errstate(divide="ignore", invalid="ignore"):
-            far = np.einsum("ni,ni->n", normal, at - origin) / np.einsum("ni,ni->n", normal, rays)
-            places = transformed(origin + np.where(far > 0, far, np.nan)[:, None] * rays, inverse(there))
-            away = (places[:, :2] / np.where(places[:, 2:] > 0.1, places[:, 2:], np.nan) - other).ravel()
-        return np.concatenate((epipolar_angles(matches, body_from_camera, poses, parameters), away))
-
-    return differentiated(residual, now)
+            far = height[:, None] / np.einsum("ni,nki->nk", self.normals, rays)
+        far = np.where((far > 0) & (far < 1000), far, np.nan)
+        world = origin + far[..., None] * rays
+        return _pixels(self.matrix, self.world_from_other, world.reshape(-1, 3)).reshape(pixels.shape)
 
 
-def _surfaces(
-    rays: Float[np.ndarray, "n 3"],
-    world_from_camera: Float[np.ndarray, "4 4"],
-    world: Float[np.ndarray, "m 3"],
-    tree: cKDTree | None,
-) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
-    """Return the rays that meet a planar surface of a scan, a point of each surface and its normal."""
-    seen = transformed(world, inverse(world_from_camera)) if np.isfinite(world_from_camera).all() else _NOWHERE
-    distance = np.linalg.norm(seen, axis=1)
-    usable = np.flatnonzero((seen[:, 2] > 0) & (distance > 0.3) & (distance < _FURTHEST))
-    if tree is None or len(usable) < 100:
-        return np.zeros(0, np.int64), _NOWHERE, _NOWHERE
-    near, index = cKDTree(seen[usable] / distance[usable, None]).query(rays, k=3, distance_upper_bound=_BESIDE)
-    # Of points side by side, the nearest hides the others.
-    depth = np.where(np.isfinite(near), distance[usable][np.minimum(index, len(usable) - 1)], np.inf)
-    closest = index[np.arange(len(index)), depth.argmin(axis=1)]
-    rows = np.flatnonzero(closest < len(usable))
-    at = world[usable[closest[rows]]]
-    normal, flat = planes(world, tree, at)
-    return rows[flat], at[flat], normal[flat]
+def _camera_pose(
+    camera: SmallCamera, time: float, poses: Poses, parameters: Parameters
+) -> Float[np.ndarray, "4 4"] | None:
+    """Return `world_from_camera` for these parameters."""
+    matrix = poses.at(np.array([time - parameters[3]]))[0] @ turned(camera.camera.body_from_camera, parameters)
+    return matrix if np.isfinite(matrix).all() else None
 
 
-def epipolar_angles(
-    matches: Matches, body_from_camera: Float[np.ndarray, "4 4"], poses: Poses, parameters: Parameters
-) -> Float[np.ndarray, " n"]:
-    """Return angles of the second directions from the first ones' epipolar planes [rad]; NaN without a pose.
-
-    For a point behind the cameras, this is the angle from the first direction, as without motion.
-    """
-    mounting = turned(body_from_camera, parameters)
-    one, other = poses.at(np.array(matches.times) - parameters[3])
-    relative = (
-        np.linalg.inv(other @ mounting) @ one @ mounting if np.isfinite(one + other).all() else np.full((4, 4), np.nan)
-    )
-    return _angles(relative[None, :3, :3], relative[None, :3, 3], matches.one, matches.other)[0]
+def _pixels(
+    matrix: Float[np.ndarray, "3 3"], world_from_camera: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 2"]:
+    """Project points with a pinhole camera [px]; NaN behind the camera."""
+    seen = transformed(points, inverse(world_from_camera)) @ matrix.T
+    depth = np.where(seen[:, 2:] > 0.1, seen[:, 2:], np.nan)
+    return seen[:, :2] / depth
 
 
-def _angles(
-    turn: Float[np.ndarray, "k 3 3"],
-    way: Float[np.ndarray, "k 3"],
-    one: Float[np.ndarray, "n 3"],
-    other: Float[np.ndarray, "n 3"],
-) -> Float[np.ndarray, "k n"]:
-    here = one @ turn.transpose(0, 2, 1)
-    way = way / np.linalg.norm(way, axis=1, keepdims=True)
-    normal = np.cross(way[:, None], here)
-    size = np.linalg.norm(normal, axis=2)
-    angle = np.arcsin(np.clip(np.einsum("kni,ni->kn", normal, other) / (size + 1e-9), -1, 1))
-    # Positive depth: the second direction departs from the first towards the translation, within their common plane.
-    across = np.cross(here, other)
-    ahead = np.einsum("kni,kni->kn", np.cross(other, way[:, None]), across) > 0
-    moved = np.arcsin(np.clip(np.linalg.norm(across, axis=2), 0, 1))
-    return np.where(ahead | (moved < np.deg2rad(0.2)), angle, np.copysign(np.maximum(moved, np.abs(angle)), angle))
+def _squares(
+    camera: SmallCamera, image: Grey, world: Float[np.ndarray, "n 3"], world_from_camera: Float[np.ndarray, "4 4"]
+) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 2"]]:
+    """Return visible points and their pixels: the most textured ones, spread over the image."""
+    pinhole = camera.rectifier.pinhole
+    points = transformed(world, inverse(world_from_camera))
+    result, at = project_to_pinhole(points, pinhole)
+    reach = float(pinhole.matrix[0, 0]) * np.tan(np.deg2rad(1.0))
+    kept = ~occluded_points(at, points[result, 2], pinhole.size, reach=reach) & (points[result, 2] < _FURTHEST)
+    result, at = result[kept], at[kept]
+    column, row = np.rint(at).astype(np.int64).T
+    to_edge = (np.minimum(at, last - at) for at, last in ((column, pinhole.width - 1), (row, pinhole.height - 1)))
+    inside = np.logical_and(*(pixels > _HALF for pixels in to_edge))
+    inside &= camera.free[row, column]
+    result, at, column, row = result[inside], at[inside], column[inside], row[inside]
+    texture = cv2.cornerMinEigenVal(image.pixels, 2 * _HALF + 1, ksize=3)[row, column]
+    order = np.argsort(-texture, kind="stable")
+    # One per tile: overlapping squares carry the same information.
+    _, firsts = np.unique((row // 16 * 10_000 + column // 16)[order], return_index=True)
+    chosen = order[np.sort(firsts)[:_SQUARES]]
+    return world[result[chosen]], at[chosen]
 
 
-def candidates(
-    camera: Float[np.ndarray, "4 4"], matches: Sequence[Matches], poses: Poses, rng: np.random.Generator
-) -> list[Parameters]:
-    """Return at most `_STARTS` rotations from the guess that fit the matches best, with zero delay."""
-    steps = np.arange(-_WIDE, _WIDE + 1e-6, _COARSE)
-    turns = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
-    turns = turns[np.linalg.norm(turns, axis=1) <= _WIDE + 1e-6]
-    mounting = np.tile(camera, (len(turns), 1, 1))
-    mounting[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix() @ camera[:3, :3]
-    camera_from_body = np.linalg.inv(mounting)
-    cost = np.zeros(len(turns))
-    few = matches[:: max(1, len(matches) // 12)]
-    for one in few:
-        pose = poses.at(np.array(one.times))
-        relative = camera_from_body @ np.linalg.inv(pose[1]) @ pose[0] @ mounting
-        chosen = rng.permutation(len(one.one))[: _SAMPLE // len(few)]
-        angle = _angles(relative[:, :3, :3], relative[:, :3, 3], one.one[chosen], one.other[chosen])
-        cost += np.minimum(np.abs(angle), _TRUNCATED).mean(axis=1)
-    order: list[int] = []
-    for k in np.argsort(cost):
-        if all(np.linalg.norm(turns[k] - turns[m]) > 2.5 * _COARSE for m in order):
-            order.append(int(k))
-        if len(order) == _STARTS:
-            break
-    return [np.append(turns[k], 0.0) for k in order]
+def _shifts(
+    one: Grey, other: Grey, at: Float[np.ndarray, "n 2"], mapping: _Mapping
+) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
+    """Return the shift of each square in the other image, in pixels of this one, and a mask of matches."""
+    reach = _HALF + _SEARCH
+    side = np.arange(-reach, reach + 1.0)
+    grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    there = mapping(at[:, None] + grid)
+    height, width = other.pixels.shape
+    with np.errstate(invalid="ignore"):
+        inside = ((there >= 0) & (there <= np.array([width - 1, height - 1]))).all(axis=(1, 2))
+    shift = np.full((len(at), 2), np.nan)
+    middle = grid.reshape(len(side), len(side), 2)[_SEARCH:-_SEARCH, _SEARCH:-_SEARCH].reshape(-1, 2)
+    for index in np.flatnonzero(inside):
+        template = _sampled(one, at[index] + middle)
+        window = _sampled(other, there[index])
+        if template.std() > 2.0:
+            shift[index] = _peak(cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED))
+    return shift, np.isfinite(shift).all(axis=1)
 
 
-def estimate_rotation(
-    guess: Float[np.ndarray, "4 4"], matches: Sequence[Matches], poses: Poses
-) -> tuple[Float[np.ndarray, "4 4"], Misfit] | str:
-    """Estimate a camera's mounting from image motion; return the reason as text if the drive does not determine it.
-
-    Args:
-        guess: `body_from_camera`; its rotation may be off by about 40 degrees.
-
-    Returns:
-        `body_from_camera` with the position of the guess, and the misfit of the fit, whose scale is an angle [rad].
-    """
-    moving = [one for one in matches if _baseline(one, poses) > _BASELINE]
-    results = []
-    for start in candidates(guess, moving, poses, np.random.default_rng(0)) if len(moving) >= LEAST_PAIRS else []:
-        # Linearised near the candidate, so that large rotations remain rotations.
-        mounting = turned(guess, start)
-
-        def compare(now: Parameters, at: np.ndarray = mounting) -> list[Pair]:
-            return [_compared(one, at, poses, now) for one in moving]
-
-        misfit = fit_misfit(compare, prior=_PRIOR, rounds=10)
-        if misfit is not None:
-            results.append((turned(mounting, misfit.parameters), misfit))
-    if not results:
-        return "too few pairs of its images share features while the vehicle moves"
-    return min(results, key=lambda one: _cost(moving, one[0], poses, one[1].parameters[3]))
+def _sampled(image: Grey, places: Float[np.ndarray, "k 2"]) -> np.ndarray:
+    side = round(len(places) ** 0.5)
+    column, row = np.ascontiguousarray(places.T, np.float32).reshape(2, side, side)
+    return np.asarray(cv2.remap(image.pixels, column, row, cv2.INTER_LINEAR), np.float32)
 
 
-def median_angle(matches: Sequence[Matches], mounting: Float[np.ndarray, "4 4"], poses: Poses) -> float:
-    """Return the median angle of matches from their epipolar planes [rad]; NaN without matches."""
-    angles = [epipolar_angles(one, mounting, poses, np.zeros(4)) for one in matches]
-    return float(np.nanmedian(np.abs(np.concatenate(angles)))) if angles else np.nan
-
-
-def _cost(matches: Sequence[Matches], mounting: Float[np.ndarray, "4 4"], poses: Poses, late: float) -> float:
-    parameters = np.array([0.0, 0.0, 0.0, late])
-    angles = np.concatenate([epipolar_angles(one, mounting, poses, parameters) for one in matches])
-    return float(np.minimum(np.abs(angles[np.isfinite(angles)]), _TRUNCATED).mean())
-
-
-def _baseline(matches: Matches, poses: Poses) -> float:
-    place = poses.at(np.array(matches.times))[:, :3, 3]
-    distance = float(np.linalg.norm(place[1] - place[0]))
-    return distance if np.isfinite(distance) else 0.0
+def _peak(score: np.ndarray) -> Float[np.ndarray, " 2"]:
+    """Return the offset of the best score from the centre, refined by a parabola [px]; NaN at the edge or if low."""
+    row, column = np.unravel_index(int(score.argmax()), score.shape)
+    top = score[row, column]
+    if not (top > _ALIKE and 0 < row < len(score) - 1 and 0 < column < len(score) - 1):
+        return np.full(2, np.nan)
+    across, down = score[row, column - 1 : column + 2], score[row - 1 : row + 2, column]
+    sides = [(line[0] - line[2]) / (2 * (line[0] - 2 * line[1] + line[2]) - 1e-9) for line in (across, down)]
+    return np.array([column + sides[0], row + sides[1]], dtype=np.float64) - score.shape[0] // 2

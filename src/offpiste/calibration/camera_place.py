@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from offpiste.calibration.camera import Matches
+from offpiste.calibration.image_motion import Matches
 from offpiste.calibration.misfit import Misfit, Pair, Parameters, differentiated, fit_misfit, planes, turned
 from offpiste.calibration.samples import Scan
 from offpiste.logs.measurements import Lidar

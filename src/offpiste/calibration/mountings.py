@@ -10,10 +10,11 @@ from rich.console import RenderableType
 from rich.text import Text
 from scipy.spatial.transform import Rotation
 
-from offpiste.calibration.camera import Matches, check_camera, estimate_rotation, matched, median_angle
+from offpiste.calibration.camera import check_camera
 from offpiste.calibration.camera_place import estimate_place
+from offpiste.calibration.image_motion import estimate_rotation, matched, median_angle
 from offpiste.calibration.lidar import beyond, estimate_lidar, mean_turn, median_distance
-from offpiste.calibration.misfit import Misfit, turned
+from offpiste.calibration.misfit import PRIOR, Misfit, Parameters, turned
 from offpiste.calibration.samples import Gathered, Grey, Scan, SmallCamera, gather, small_camera
 from offpiste.core.errors import LogError
 from offpiste.core.progress import track
@@ -238,7 +239,7 @@ def _camera(
     given: Float[np.ndarray, "4 4"],
     placed: bool,
 ) -> EstimatedMounting:
-    """Estimate by epipolar geometry, then by the surfaces that a LiDAR sees if there is one.
+    """Estimate by epipolar geometry, then by image squares on surfaces that a LiDAR sees if there is one.
 
     Args:
         given: mounting in the rig, of the camera before rectification.
@@ -256,8 +257,8 @@ def _camera(
     if place is not None:
         mounting = turned(mounting, np.append(np.zeros(4), place.parameters[4:]))
     if ruler is not None and (placed or place is not None):
-        mounting, misfit = _fine(camera, matches, ruler, poses, mounting, misfit)
-    if misfit.scale > _LINES:
+        mounting, misfit = _fine(camera, images, ruler, poses, mounting, misfit, placed=placed)
+    if misfit is found[1] and misfit.scale > _LINES:  # not refined
         angle = np.rad2deg(misfit.scale)
         why = f"no rotation explains the motion in its images ({angle:.1f} degrees left)"
         return replace(failed, refused=f"{name}: {why}")
@@ -269,7 +270,8 @@ def _camera(
     unrectified[:3, :3] = mounting[:3, :3] @ guess[:3, :3].T @ given[:3, :3]
     place_sigma = np.full(3, np.nan)
     if place is not None:
-        place_sigma = np.where(place.sigma[4:7] < PLACE, place.sigma[4:7], np.nan)
+        sigma_of_place = (misfit if len(misfit.sigma) > 4 else place).sigma[4:7]
+        place_sigma = np.where(sigma_of_place < PLACE, sigma_of_place, np.nan)
         shown = np.isfinite(place_sigma)
         unrectified[:3, 3] += np.where(shown, mounting[:3, 3] - guess[:3, 3], 0.0)
     sigma = tuple(misfit.sigma[:3])
@@ -278,15 +280,18 @@ def _camera(
 
 def _fine(
     camera: SmallCamera,
-    matches: Sequence[Matches],
+    images: Sequence[Grey],
     ruler: tuple[Lidar, Sequence[Scan]],
     poses: Poses,
     mounting: Float[np.ndarray, "4 4"],
     misfit: Misfit,
+    *,
+    placed: bool,
 ) -> tuple[Float[np.ndarray, "4 4"], Misfit]:
-    """Return the mounting refined by surfaces if they are seen and agree with the first estimate."""
+    """Return the mounting refined by image squares if they are found and agree with the first estimate."""
     moved = replace(camera, camera=replace(camera.camera, body_from_camera=mounting))
-    fine = check_camera(moved, matches, *ruler, poses)
+    prior: Parameters = PRIOR if placed else np.append(PRIOR, [0.3, 0.3, 0.3])
+    fine = check_camera(moved, images, *ruler, poses, prior=prior)
     if fine is None or np.linalg.norm(fine.parameters[:3]) > _REPLACED or fine.sigma[:3].max() > misfit.sigma[:3].max():
         return mounting, misfit
     return turned(mounting, fine.parameters), fine

@@ -6,12 +6,13 @@ since the fit already compared the measurements at the corrected mounting and de
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from offpiste.calibration.camera import check_camera, matched
+from offpiste.calibration.camera import check_camera
 from offpiste.calibration.lidar import check_lidar
 from offpiste.calibration.map_health import MapHealth, map_health
 from offpiste.calibration.misfit import Misfit, turned
@@ -41,6 +42,9 @@ KNOWN_TURN: Final = np.deg2rad(0.5)
 """Maximum standard deviation of a known angle [rad]."""
 KNOWN_LATE: Final = 0.020
 """Maximum standard deviation of a known delay [s]."""
+STARTS: Final = (-0.15, 0.15)
+"""Initial delays for refitting a camera that seems rotated [s]: in fast turns, patches searched at a wrong time lie
+outside the search area, and a rotation fits the rest."""
 APART: Final = 0.2
 """Distance between points and planes of two scans above which they are inconsistent [m]; fault-free: 0.02 to 0.04."""
 MANY_GHOSTS: Final = 1e-4
@@ -297,9 +301,19 @@ def camera_misfits(
     known = ruler.misfit.parameters if ruler.misfit and (ruler.is_turned or ruler.is_late) else None
     result = []
     for name, camera in track(cameras.items(), "cameras", total=len(cameras)):
-        matches = matched(camera, gathered.images[name])
-        result.append(CheckedSensor(camera.camera, check_camera(camera, matches, lidar, scans, poses, known)))
+        check = partial(check_camera, camera, gathered.images[name], lidar, scans, poses, known)
+        one = CheckedSensor(camera.camera, check())
+        if one.misfit is not None and one.is_turned:
+            one = replace(one, misfit=_best([one.misfit, *(check(start=np.array([0, 0, 0, late])) for late in STARTS)]))
+        result.append(one)
     return result
+
+
+def _best(misfits: Sequence[Misfit | None]) -> Misfit:
+    """Return the fit with the smallest residuals among those with almost the maximum number of residuals."""
+    known = [misfit for misfit in misfits if misfit is not None]
+    most = max(misfit.residuals for misfit in known)
+    return min((misfit for misfit in known if misfit.residuals >= 0.9 * most), key=lambda misfit: misfit.scale)
 
 
 def check_own_body(
