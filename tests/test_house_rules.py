@@ -12,8 +12,8 @@ SOURCES = sorted(
 SHARED_LINES = 6
 LONGEST_FUNCTION = 80
 LIMITS = {
-    "src": 63_700,
-    "tests": 40_650,
+    "src": 61_900,
+    "tests": 38_550,
     "experiments": 4_700,
     "benchmarks": 1_500,
     "docs [bytes]": 220_000,
