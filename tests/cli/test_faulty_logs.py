@@ -54,7 +54,7 @@ BAD = {
     ),
     "a drifting clock": (
         (STATIC, images(stamped=lambda t: 1.1 * t), clouds(), poses()),
-        r"'front': its stamps drift against the poses' by 0\.\d+ s over the drive; use clock\.stamps = \"receive\"",
+        r"'front': stamps drift against the pose clock by 0\.\d+ s over the drive; use clock\.stamps = \"receive\"",
     ),
 }
 
@@ -87,7 +87,7 @@ NOTED = {
     "late": ((STATIC, images(first=2.0), clouds(), poses()), "front: starts 2.0 s after the poses"),
     "drift": (
         (STATIC, images(stamped=lambda t: 1.02 * t), clouds(), poses()),
-        "front: its stamps drift against the poses' by 120 ms",
+        "front: stamps drift against the pose clock by 120 ms",
     ),
 }
 

@@ -86,7 +86,7 @@ def test_images_of_another_size_have_a_graph_of_their_own(tmp_path):
 def test_a_size_is_two_numbers():
     assert size_of("1280x720") == (1280, 720)
     for text in ("1280", "1280x", "0x10", "-5x7", "12.5x3", "1280 x 720", "99999x9"):
-        with pytest.raises(OffpisteError, match=r"--size is '.*'; give width and height in pixels, 1 to 9999"):
+        with pytest.raises(OffpisteError, match=r"invalid --size '.*'; give width and height in pixels, 1 to 9999"):
             size_of(text)
 
 

@@ -62,9 +62,9 @@ def test_directions_without_variance_make_no_components():
 
 def test_ground_that_is_too_little_flat_or_not_finite_is_refused():
     for count in (0, 1):
-        with pytest.raises(PerceptionError, match=f"^{count} patches of ground in the images: too few for a PCA"):
+        with pytest.raises(PerceptionError, match=f"^{count} ground patches in the images, too few for a PCA"):
             fit(Moments.of(np.ones((count, 4))), BACKBONE)
-    with pytest.raises(PerceptionError, match="all patches of ground are equal"):
+    with pytest.raises(PerceptionError, match="all ground patches are equal"):
         fit(Moments.of(np.ones((50, 4))), BACKBONE)
     for value in (np.nan, np.inf):
         features = correlated(30, 4)

@@ -143,7 +143,7 @@ WRONG = [
     (output('"speed" }', '"speed", unit = "rad" }'), "'rad' does not measure"),
     (output('"speed" }', '"steer", unit = "rad/s" }'), "'rad/s' is a unit of turn rates.*yaw_rate"),
     (output('"speed" }', '"speed", clip = [1, 0] }'), "clip is not an interval"),
-    (RIG + OUTPUT + OUTPUT.replace("outputs.a", "outputs.b"), "two outputs have one topic"),
+    (RIG + OUTPUT + OUTPUT.replace("outputs.a", "outputs.b"), "two outputs use the same topic"),
     (RIG + OUTPUT + "[live.limits]\nthrottle = 0.5\n", "live.limits.throttle has no effect"),
     (RIG + "[live.timeouts]\nscan = 2\n", "live.timeouts.scan is above scan_limit"),
 ]  # fmt: skip

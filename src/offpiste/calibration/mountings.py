@@ -258,7 +258,7 @@ def _camera(
         mounting = turned(mounting, np.append(np.zeros(4), place.parameters[4:]))
     if ruler is not None and (placed or place is not None):
         mounting, misfit = _fine(camera, images, ruler, poses, mounting, misfit, placed=placed)
-    if misfit is found[1] and misfit.scale > _LINES:  # not refined
+    if misfit.scale > _LINES:
         angle = np.rad2deg(misfit.scale)
         why = f"no rotation explains the motion in its images ({angle:.1f} degrees left)"
         return replace(failed, refused=f"{name}: {why}")
@@ -294,7 +294,8 @@ def _fine(
     fine = check_camera(moved, images, *ruler, poses, prior=prior)
     if fine is None or np.linalg.norm(fine.parameters[:3]) > _REPLACED or fine.sigma[:3].max() > misfit.sigma[:3].max():
         return mounting, misfit
-    return turned(mounting, fine.parameters), fine
+    focal = float(camera.rectifier.pinhole.matrix[0, 0])
+    return turned(mounting, fine.parameters), replace(fine, scale=fine.scale / focal)
 
 
 def render_mountings(results: Sequence[EstimatedMounting]) -> RenderableType:

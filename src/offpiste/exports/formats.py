@@ -76,7 +76,7 @@ def size_of(text: str) -> tuple[int, int]:
     """
     numbers = re.fullmatch(r"([1-9]\d{0,3})x([1-9]\d{0,3})", text)
     if numbers is None:
-        raise OffpisteError(f"--size is '{text}'", how="give width and height in pixels, 1 to 9999, as 640x360")
+        raise OffpisteError(f"invalid --size '{text}'", how="give width and height in pixels, 1 to 9999, as 640x360")
     return int(numbers[1]), int(numbers[2])
 
 

@@ -160,7 +160,7 @@ def _never_released(name: str, drive: Drive, path: DrivenPath) -> Finding | None
 def _without_effect(name: str, fit: LagFit, drive: Drive, path: DrivenPath) -> Finding:
     evidence = f"correlation with the acceleration: {fit.r[fit.best()]:.2f} at best, within 1.5 s; above {_PRESSED} "
     evidence += f"for {_pressed(name, drive, path):.1%} of the time"
-    how = "nothing if it was hardly pressed; else look for another field, or declare it absent"
+    how = "no action needed if it was hardly pressed; else look for another field, or declare it absent"
     return Finding("note", name, "shows no effect on the speed", evidence, how, 0.5)
 
 

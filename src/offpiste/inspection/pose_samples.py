@@ -161,7 +161,7 @@ def check_faults(drive: Drive) -> list[Finding]:
             f"{count} samples in {len(runs)} runs, such as {worst.first} to {worst.last} ({worst.since:.2f} s), up to "
         )
         evidence += f"{worst.off:.3g} {unit} off"
-        how = "nothing where the rest is enough: they are dropped on reading, and no window reaches across"
+        how = "no action needed if enough data remains: they are dropped on reading, and no window reaches across"
         if max(run.until - run.after for run in runs) < drive.rig.clock.max_gap:
             how += "; in a short log delete these rows, since gaps as short are bridged"
         share = min(sum(run.until - run.after for run in runs if np.isfinite(run.until - run.after)) / length, 1.0)
@@ -189,6 +189,6 @@ def _held(runs: Sequence[DroppedRun], length: float) -> list[Finding]:
     times = "once" if len(runs) == 1 else f"{len(runs)} times"
     then = f", after which it jumps by {worst.off:.3g} m" if np.isfinite(worst.until) else ", to the end of the log"
     evidence = f"{times}, such as for {seconds[longest]:.1f} s from {worst.since:.2f} s on{then}"
-    how = "nothing where the rest is enough: these samples are dropped on reading, and no window reaches across"
+    how = "no action needed if enough data remains: these samples are dropped on reading, and no window reaches across"
     share = min(sum(seconds) / length, 1.0)
     return [Finding("warning", "position", "holds one place while the vehicle drives on", evidence, how, share)]

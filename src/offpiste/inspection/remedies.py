@@ -88,8 +88,8 @@ def _mirrored(causes: Sequence[Finding], rig: Rig) -> list[Finding]:
         evidence += ", and so does the heading, which counts clockwise beside latitudes and longitudes"
         how = "longitudes that are positive to the west, as of a .vbo file, are to be negated in the log"
         return [Finding("warning", "position", "is seen in a mirror", evidence, how, 1.0)]
-    how = "nothing, if these count to the right; else negate y and the heading in the log, or, where the heading is a "
-    how += "compass's, exchange x and y in the rig: the pose is mirrored then"
+    how = "no action needed if these count to the right; else negate y and the heading in the log, or, "
+    how += "if the heading is a compass's, exchange x and y in the rig: the pose is mirrored then"
     return [Finding("note", "position", "may be seen in a mirror", evidence, how, 0.5)]
 
 

@@ -156,13 +156,13 @@ def _not_finite(signal: Signal) -> Finding | None:
     if not len(at):
         return None
     share = len(at) / count
-    how = "nothing where the rest is enough: those samples are dropped on reading"
+    how = "no action needed if enough data remains: those samples are dropped on reading"
     if not signal.channel:
-        how = "nothing: no channel reads it"
+        how = "no action needed: no channel reads it"
     elif share >= 0.5:
         how = f'declare it absent: absent = ["{signal.channel}"]'
         if signal.channel in (*POSE, "steer"):
-            how = "take another field; where the rest comes often enough, nothing: those samples are dropped on reading"
+            how = "take another field; no action needed if enough samples remain, as those are dropped on reading"
     evidence = f"{len(at)} of {count} samples ({share:.1%}), the first {at[0]}, the last {at[-1]}"
     severity: Severity = "warning" if signal.channel else "note"
     return Finding(severity, signal.where, "values are NaN, infinite or beyond any measurement", evidence, how, share)
@@ -178,7 +178,7 @@ def _never_changing(signal: Signal, rig: Rig | None) -> Finding | None:
         cure = absent(name, rig) if rig else ()
         return fixable("warning", signal.where, "never changes", evidence, cure, advice="declare it absent")
     if signal.values[0] <= 0.5:
-        how = "nothing where nobody braked: the channel stays"
+        how = "no action needed if nobody braked"
         return Finding("note", signal.where, "is never pressed", evidence, how)
     turned = ", ".join(map(str, scaled_to_unit(name, rig.channels[name], (0.0, 1.0), turned=True)))
     how = f"if nobody braked, it is the wrong way round: {turned}"

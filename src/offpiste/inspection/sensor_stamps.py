@@ -76,7 +76,7 @@ def _in_words(finding: Finding) -> Finding:
     severity: Severity = "note" if finding.severity == "note" else "warning"
     if not finding.cures:
         return replace(finding, severity=severity)
-    remedy = "nothing where the rest is enough: messages whose stamps repeat or go back are dropped on reading"
+    remedy = "no action needed if enough data remains: messages whose stamps repeat or go back are dropped on reading"
     if "clock.stamps" in _edited(finding):
         remedy += '; or clock.stamps = "receive", by which all topics are read then'
     return replace(finding, severity=severity, remedy=remedy, cures=())

@@ -193,11 +193,10 @@ def _apart(one: CheckedSensor, misfit: Misfit) -> Finding:
 
 
 def _unseen(one: CheckedSensor) -> Finding:
-    evidence = "too few scans"
-    if isinstance(one.sensor, Camera):
-        evidence = "too few features are shared by images taken near scans of a LiDAR"
-    remedy = "nothing if it is at a standstill or sees little; else check the mounting, which may be far off, and"
-    remedy += " [frames] body"
+    camera = isinstance(one.sensor, Camera)
+    evidence = "squares of ground are not found again in the next image" if camera else "too few scans"
+    remedy = "no action needed if it is at a standstill or sees little; else check [frames] body and the mounting, "
+    remedy += "which may be far off"
     return Finding("note", one.sensor.name, "could not be checked against the poses", evidence, remedy)
 
 
@@ -210,7 +209,7 @@ def _unknown(one: CheckedSensor, misfit: Misfit) -> list[Finding]:
     vague += [f"delay (± {misfit.sigma[3] * 1e3:.0f} ms)"] if not misfit.sigma[3] < KNOWN_LATE else []
     if not vague:
         return []
-    remedy = "nothing; a drive over rough ground, with turns and changes of speed, would tell"
+    remedy = "no action needed; a drive over rough ground, with turns and changes of speed, would tell"
     return [Finding("note", one.sensor.name, "was checked in part", f"not known: {', '.join(vague)}", remedy)]
 
 
@@ -266,7 +265,7 @@ def check_sensors(log: Log, rig: Rig, cure: Cure = ()) -> list[Finding]:
     if sensors.notes:
         evidence = "; ".join(sensors.notes)
         findings.append(
-            Finding("note", "cameras and LiDARs", "are there in part", evidence, "nothing where the rest is enough")
+            Finding("note", "cameras and LiDARs", "are read in part", evidence, "no action needed if enough remains")
         )
     untimed = untimed_points(sensors)
     checked = [
@@ -365,13 +364,13 @@ def check_map_health(health: MapHealth, *, turned: bool = False) -> list[Finding
         evidence = (
             f"{health.ghosts:.3%} of {health.returns} returns within 25 m, from rays that pass below ground nearer by"
         )
-        remedy = "nothing: the map leaves them out (mapping.ghosts); other software may not"
+        remedy = "no action needed: the map leaves them out (mapping.ghosts); other software may not"
         result.append(Finding("note", "LiDARs", "see ghosts below the ground", evidence, remedy, health.ghosts))
     if health.moving_pairs >= LEAST_PAIRS and health.moving > MUCH_MOVING:
         evidence = (
             f"{health.moving:.1%} of the returns within 30 m, where rays passed through half a second earlier;"
             f" {health.moving_pairs} pairs of scans"
         )
-        remedy = "nothing: their trails leave the map near the vehicle (mapping.free_space); further away they stay"
+        remedy = "no action needed: near the vehicle, their trails leave the map (mapping.free_space)"
         result.append(Finding("note", "LiDARs", "see much that moves", evidence, remedy, health.moving))
     return result

@@ -38,7 +38,7 @@ _FEW, _SILENCES, _SILENT = 30, 5, 0.05
 """Minimum number of its samples and of its silences, and minimum share of time in silences."""
 _JUMP: Final = 3.0
 """Maximum ratio of the change across silences to the usual change; lost samples cause larger changes."""
-_DROPPED: Final = "nothing: those samples are dropped on reading"
+_DROPPED: Final = "no action needed: those samples are dropped on reading"
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ def _repeats(where: str, topic: Recorded, seen: Timing, clock: Clock, readers: S
     share, arrives = repeated / len(topic.time), _arrivals(topic, clock) is not None
     evidence = f"{repeated} of {len(topic.time)} ({share:.1%})"
     if topic.copies:
-        how = "nothing: they are copies of the sample before, and one of each is kept"
+        how = "no action needed: they are copies of the sample before, and one of each is kept"
         return [Finding("note", where, "stamps repeat", evidence, how, share)]
     if not arrives and not seen.backward and any(map(_refused, readers)):
         kept = len(topic.rising)
@@ -209,7 +209,7 @@ def _repeats(where: str, topic: Recorded, seen: Timing, clock: Clock, readers: S
             evidence += f", of which there are {(kept - 1) / (seen.end - seen.start):.3g} a second"
         how = "take another clock.column; or export the stamps with all their decimals, or one row for each"
         return [Finding("fatal", where, "stamps repeat", evidence, how, share)]
-    how = _DROPPED if share <= 0.02 else "nothing: one sample a stamp is kept"
+    how = _DROPPED if share <= 0.02 else "no action needed: one sample a stamp is kept"
     severity: Severity = "warning" if share > _REPEATED else "note"
     cures = ((RECEIVE,),) if arrives else ()
     return [fixable(severity, where, "stamps repeat", evidence, *cures, score=share, advice=how)]
@@ -242,7 +242,7 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
         share = sum(length for _, length in seen.gaps) / seconds
         what = "has gaps" if len(seen.gaps) > 1 else "has a gap"
         evidence = f"{len(seen.gaps)}, the longest {longest:.2f} s at {at - origin:.2f} s; {share:.1%} of the time"
-        how = "nothing where the rest is enough: the drive is cut there (clock.max_gap)"
+        how = "no action needed if enough data remains: the drive is cut there (clock.max_gap)"
         findings.append(Finding("warning" if share > _GAPS else "note", where, what, evidence, how, share))
     if seen.lost > 0.02:
         evidence = f"{seen.lost:.1%} at a rate of {seen.rate:.1f} Hz"
@@ -308,7 +308,7 @@ def _part_of(
         return []
     share = (late + early) / (span[1] - span[0])
     evidence = f"{late:.1f} s after the start and {early:.1f} s before the end of {whose}: {share:.0%} of it"
-    how = "nothing where the rest is enough: those rows are left out"
+    how = "no action needed if enough data remains: those rows are left out"
     severity: Severity = "warning" if used and share > 0.1 else "note"
     return [Finding(severity, name, "starts late or stops early", evidence, how, share)]
 

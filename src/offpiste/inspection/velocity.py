@@ -184,10 +184,14 @@ def _other_speed_unit(fit: FrameFit, source: ChannelSource) -> list[Finding]:
             how, what = ", ".join(map(str, cure)), f"is in {unit}, not in {here[0]}"
             if abs(fit.gain - 1) > _TYRES:
                 return [Finding("warning", name, what, evidence, how, 0.9, (cure,))]
-            return [Finding("note", name, f"may be in {unit}", evidence, f"nothing, if tyres are so; else {how}", 0.4)]
+            return [
+                Finding(
+                    "note", name, f"may be in {unit}", evidence, f"no action needed if tyres are so; else {how}", 0.4
+                )
+            ]
     if here and not _SAME[0] < fit.gain < _SAME[1] and _ROLLING[0] < fit.gain < _ROLLING[1]:
         radius = stated / fit.gain
-        how = f"nothing, if tyres are so; of wheels in rad/s with a radius of {radius:.2g} m: "
+        how = f"no action needed if tyres are so; of wheels in rad/s with a radius of {radius:.2g} m: "
         how += f'channels.{name}.unit = "m/s", channels.{name}.scale = {rounded(radius)}'
         return [Finding("note", name, f"may not be in {here[0]}", evidence, how, 0.4)]
     return []

@@ -118,4 +118,4 @@ def jump_note(poses: Poses) -> list[str]:
         return []
     when = ", ".join(f"{before - poses.span[0]:.2f}" for before, _ in jumps[:5]) + (", ..." if len(jumps) > 5 else "")
     times = "once" if len(jumps) == 1 else f"{len(jumps)} times"
-    return [f"poses jump {times}, {when} s after they start: the map begins anew there, and no window reaches across"]
+    return [f"poses jump {times}, {when} s after they start: the map restarts there, and no window spans a jump"]

@@ -143,10 +143,10 @@ class SensorLog:
         pose_stamps = self._log.stamps(position.topic) - position.delay
         offset, drift = clock_difference(stamps, arrivals, pose_stamps, pose_arrivals) or (0.0, 0.0)
         if abs(drift) > DRIFT_LIMIT:
-            what = f"'{name}': its stamps drift against the poses' by {abs(drift):.2f} s over the drive"
+            what = f"'{name}': stamps drift against the pose clock by {abs(drift):.2f} s over the drive"
             raise LogError(what, where=self.path, how='use clock.stamps = "receive", or remove the sensor from the rig')
         if abs(drift) > _DRIFTS:
-            return [f"{name}: its stamps drift against the poses' by {1000 * abs(drift):.0f} ms over the drive"]
+            return [f"{name}: stamps drift against the pose clock by {1000 * abs(drift):.0f} ms over the drive"]
         side = "before" if offset > 0 else "after"
         what = f"{name}: stamped {abs(offset):.2f} s {side} poses that arrive with it; fix its clock or its delay"
         return [what] if abs(offset) > _OFFSET else []

@@ -41,7 +41,7 @@ class GhostSettings:
             raise MapError(f"invalid ghosts.depth = {self.depth}", where="map settings", how="give a positive number")
         if not 4 <= self.sectors <= 4096 or not 4 <= self.rings <= 1024 or not 0 <= self.window < self.sectors // 2:
             how = "give 4 to 4096 sectors, 4 to 1024 rings, and a window of less than half the sectors"
-            raise MapError(f"ghosts: {self.sectors} sectors, {self.rings} rings", where="map settings", how=how)
+            raise MapError(f"invalid ghosts: {self.sectors} sectors, {self.rings} rings", where="map settings", how=how)
 
 
 class GhostFinder:

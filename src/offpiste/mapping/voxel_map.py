@@ -277,7 +277,9 @@ class VoxelSettings:
             rules = ", ".join(FUSION_RULES)
             raise MapError(f"fusion rule '{self.rule}' is unknown", where="map settings", how=f"use one of: {rules}")
         if not 1 <= self.half_cells <= 10_000:
-            raise MapError(f"{self.half_cells} cells to each side", where="map settings", how="set 1 to 10000")
+            raise MapError(
+                f"invalid map size: {self.half_cells} cells to each side", where="map settings", how="set 1 to 10000"
+            )
 
     @property
     def half_cells(self) -> int:

@@ -112,7 +112,7 @@ def fit(moments: Moments, backbone: Backbone, *, components: int = COMPONENTS, *
     """
     if moments.count < 2:
         raise PerceptionError(
-            f"{moments.count} patches of ground in the images: too few for a PCA",
+            f"{moments.count} ground patches in the images, too few for a PCA",
             how="check that LiDAR points project into the images (`offpiste inspect`)",
         )
     values, vectors = np.linalg.eigh(moments.scatter / (moments.count - 1))
@@ -121,7 +121,7 @@ def fit(moments: Moments, backbone: Backbone, *, components: int = COMPONENTS, *
     spread = values > max(values[0], 0.0) * np.finfo(np.float32).eps * 1e-2
     kept = min(components, int(spread.sum()) if values[0] > 0 else 0, moments.count - 1)
     if not kept:
-        raise PerceptionError("all patches of ground are equal", how="check that the images show ground")
+        raise PerceptionError("all ground patches are equal", how="check that the images show ground")
     basis = vectors[:, :kept]
     basis = basis * np.sign(basis[np.abs(basis).argmax(axis=0), np.arange(kept)])
     return PrincipalComponents(

@@ -111,7 +111,7 @@ def check_outputs(outputs: Mapping[str, Output], live: Live, max_steer: float) -
     one_topic = len({output.topic for output in outputs.values()}) < len(outputs)
     never = live.timeouts.scan > live.timeouts.scan_limit
     refuse(
-        (one_topic, "two outputs have one topic", "put their fields into one of them"),
+        (one_topic, "two outputs use the same topic", "put their fields into one of them"),
         (never, "live.timeouts.scan is above scan_limit", "raise scan_limit, too, or lower scan"),
     )
     held = {field.of for output in outputs.values() for field in output.fields.values()}

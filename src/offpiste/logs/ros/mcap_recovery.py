@@ -86,7 +86,7 @@ class StreamedMcap:
         notes = []
         if not self._finished:
             repair = f"`mcap recover {self.path.name} -o REPAIRED.mcap` repairs it"
-            cause = "the MCAP file has no end (the recorder was killed, or the copy cut short)"
+            cause = "the MCAP file is truncated (the recorder was killed, or the copy interrupted)"
             notes.append(f"{self.path}: {cause}; its {kept} whole messages are read; {repair}")
         if self._damaged:
             notes.append(f"{self.path}: damaged records that are skipped: {self._damaged}")
