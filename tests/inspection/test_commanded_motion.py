@@ -84,7 +84,7 @@ def test_a_turn_rate_and_a_speed_are_steering_and_throttle() -> None:
     np.testing.assert_allclose(curvature[inside], asked_for, rtol=1e-6)
     report = inspect_log(log, rig)
     assert not [f for f in report.findings if f.severity != "note"]
-    (scale,) = [f.evidence for f in report.findings if (f.where, f.what) == ("steer", "has this scale")]
+    (scale,) = [f.evidence for f in report.findings if (f.where, f.what) == ("steer", "estimated scale")]
     assert 0.7 < float(scale.split()[3]) < 0.85, scale
 
 

@@ -16,7 +16,7 @@ TRUE = np.tan(MAX_STEER) / WHEELBASE
 @pytest.mark.parametrize("most", [100.0, 4.0])
 def test_the_scale_of_a_first_rig_is_that_of_tyres_that_grip(most: float) -> None:
     """Fast curves slide outwards; what the vehicle turns in them says nothing on its steering."""
-    (finding,) = (f for f in inspect_log(_curves(most)).findings if (f.where, f.what) == ("steer", "has this scale"))
+    (finding,) = (f for f in inspect_log(_curves(most)).findings if (f.where, f.what) == ("steer", "estimated scale"))
     assert float(finding.evidence.split()[5]) == pytest.approx(TRUE, rel=0.12)
 
 

@@ -40,7 +40,7 @@ class TopicRow:
 
 @dataclass(frozen=True)
 class Summary:
-    """Summary of the drive from the pose; fields are None without a pose.
+    """Summary of a drive, computed from the pose; fields are None without a pose.
 
     Attributes:
         duration: length of the log [s].
@@ -107,7 +107,7 @@ def summarise(recorded: dict[str, Recorded], path: DrivenPath | None) -> Summary
 
 
 def topic_rows(log: Log, recorded: dict[str, Recorded], clock: Clock) -> tuple[TopicRow, ...]:
-    """Return a row for every topic of a log, and for parts of topics read by the rig."""
+    """Return a row for every topic of a log, and for each part of a topic that the rig reads."""
     rows = []
     for name, topic in log.topics.items():
         seen = timing(recorded[name].time, max_gap=clock.max_gap) if name in recorded else None

@@ -66,7 +66,7 @@ def check_cut_off(drive: Drive, path: DrivenPath) -> list[Finding]:
         if further < (_FURTHER_AT_LOCK if at_lock else _FURTHER) + SURE * sigma:
             continue
         evidence = f"{piled:.0%} of its samples are {size.max():.3g}, and there the vehicle turns {1 + further:.1f} ± "
-        evidence += f"{sigma:.1f} times as much as its other samples foretell"
+        evidence += f"{sigma:.1f} times as much as its other samples predict"
         how = "no rig line fixes it: record its whole range, or take another field"
         findings.append(Finding("warning", name, "is cut off at its largest value", evidence, how, min(piled, 1.0)))
     return findings

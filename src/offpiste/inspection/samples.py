@@ -162,7 +162,7 @@ def _not_finite(signal: Signal) -> Finding | None:
     elif share >= 0.5:
         how = f'declare it absent: absent = ["{signal.channel}"]'
         if signal.channel in (*POSE, "steer"):
-            how = "take another field; no action needed if enough samples remain, as those are dropped on reading"
+            how = "take another field, unless enough samples remain: those are dropped on reading"
     evidence = f"{len(at)} of {count} samples ({share:.1%}), the first {at[0]}, the last {at[-1]}"
     severity: Severity = "warning" if signal.channel else "note"
     return Finding(severity, signal.where, "values are NaN, infinite or beyond any measurement", evidence, how, share)
@@ -218,7 +218,7 @@ def _spiked(signal: Signal, _: Rig | None) -> Finding | None:
     evidence += f"lie between {usual.min():.4g} and {usual.max():.4g}"
     inside = int(((at >= low) & (at <= high)).sum())
     if inside > _MOST_LEFT * len(at) or np.mean((usual < low) | (usual > high)) > MAX_SPIKES:
-        how = "no range of valid values parts them from the others: take another field"
+        how = "no range of valid values separates them from the others: take another field"
         severity: Severity = "warning" if signal.channel else "note"
         return Finding(severity, signal.where, "isolated spikes", evidence, how, float(spikes.mean()))
     if inside:

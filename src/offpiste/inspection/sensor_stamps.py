@@ -1,4 +1,4 @@
-"""Checks of the stamps of images and point clouds, and of the times of points."""
+"""Checks of image and point cloud stamps, and of point times."""
 
 from dataclasses import replace
 from itertools import islice

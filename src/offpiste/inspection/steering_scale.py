@@ -180,21 +180,18 @@ def _is_shaped(wheelbase: float, rig: Rig) -> bool:
 def scale_note(name: str, fit: SteeringFit, rig: Rig) -> Finding:
     """Return a note on the steering scale if the wheelbase is a guess."""
     curvature = fit.curvature.value
-    if rig.channels[name].turns:
-        evidence = f"the vehicle turns {curvature / curvature_per_unit(name, rig):.2f} times as fast as it is asked to"
-        remedy = "none: a model learns it; a rig in other units is off by far more"
-        return Finding("note", name, "has this scale", evidence, remedy, 0.4)
+    share = curvature / curvature_per_unit(name, rig)
     evidence = f"yaw rate / speed = {curvature:.3g} 1/m times {name}"
     evidence += f": a radius of {1 / curvature:.1f} m at steer = 1" if name == "steer" else ", in rad"
-    if name == "steer_angle" or rig.channels[name].unit in ANGLES:
-        share = curvature / curvature_per_unit(name, rig)
-        remedy = (
-            f"none, if it is an angle of the road wheels: by the rig's geometry it is {share:.2f} times as much, and "
-        )
-        remedy += "usual is 1 less a fifth or so for slip"
+    if rig.channels[name].turns:
+        evidence = f"the vehicle turns {share:.2f} times as fast as commanded"
+        remedy = "no action needed: models learn it, and a wrong unit would be off by far more"
+    elif name == "steer_angle" or rig.channels[name].unit in ANGLES:
+        remedy = f"no action needed if it is the road wheel angle: the ratio to the rig's geometry is {share:.2f}, "
+        remedy += "typically 0.8 to 1 because of slip"
     else:
         wheelbase = rig.vehicle.wheelbase
-        remedy = "vehicle.max_steer is the angle of the road wheels at steer = 1, where you know it; by this log "
+        remedy = "set vehicle.max_steer to the road wheel angle at steer = 1, if you know it; this log suggests "
         remedy += f"atan({number(curvature)} * wheelbase), {np.arctan(curvature * wheelbase):.3f} rad at "
-        remedy += f"{wheelbase:.3g} m, or more, as tyres slip"
-    return Finding("note", name, "has this scale", evidence, remedy, 0.4)
+        remedy += f"{wheelbase:.3g} m, or more because of slip"
+    return Finding("note", name, "estimated scale", evidence, remedy, 0.4)

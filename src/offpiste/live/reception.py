@@ -30,7 +30,7 @@ _APART: Final = 0.05
 
 @dataclass(frozen=True)
 class CourseRequest:
-    """Source of the course: one of file, topic and goal."""
+    """Source of the course: a file, a topic or a goal."""
 
     file: Path | None = None  # a table
     topic: str = ""  # of nav_msgs/Path; a new path replaces the course

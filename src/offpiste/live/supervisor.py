@@ -253,7 +253,7 @@ def diagnostics_message(parts: States, stamp_ns: int) -> Any:
 
 
 def _texts(numbers: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield numbers as strings, those of mappings one by one."""
+    """Yield names and numbers as strings; a mapping yields each of its entries."""
     for key, value in numbers.items():
         if isinstance(value, Mapping):
             yield from ((f"{key}: {name}", str(count)) for name, count in value.items())

@@ -312,7 +312,7 @@ def convert(
 
 
 def _near_origin(source: ChannelSource, place: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n c"]:
-    """Return positions, after a check that they are near the rig's origin, where its tangent plane is valid."""
+    """Return the positions after checking that they lie near the rig's origin, where the tangent plane is valid."""
     away = np.nanmedian(np.hypot(place[:, 0], place[:, 1])) if np.isfinite(place[:, :2]).all(axis=1).any() else 0.0
     if source.origin is not None and away > FAR:
         where = topic_in_words(source.topic)

@@ -40,7 +40,7 @@ def planning_library(costs: str) -> ctypes.CDLL | None:
     except (OSError, subprocess.SubprocessError) as error:
         lines = str(getattr(error, "stderr", None) or error).strip().splitlines()
         reason = next((line for line in lines if "error" in line), lines[0])
-        logger.warning(f"added cost terms cannot be compiled; plans run eagerly, 50 to 100 times slower: {reason}")
+        logger.warning(f"added cost terms cannot be compiled; plans run eagerly, about 50 times slower: {reason}")
         return None
 
 

@@ -1,10 +1,8 @@
 """Names, units and axes in labels of columns and fields: `x(m)`, `vx [m/s]`, `steer_deg`, `time_us`."""
 
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from typing import Final, Literal
 from unicodedata import combining, normalize
 
@@ -12,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.core.errors import RigError
+from offpiste.core.limits import packaged_table
 from offpiste.rig.channels import SECONDS_PER_UNIT, known_channels, unit_factor
 from offpiste.rig.rig import Rig
 
@@ -20,7 +19,7 @@ _SINCE_1970: Final = (1.0e9, 4.1e9)
 RATES: Final = (0.2, 20_000.0)
 """Plausible sampling rates of recordings [Hz]."""
 
-VOCABULARY: Final = tomllib.loads((resources.files("offpiste.rig") / "vocabulary.toml").read_text("utf-8"))
+VOCABULARY: Final = packaged_table("offpiste.rig", "vocabulary.toml")
 
 PATTERNS: Final = {name: re.compile(pattern) for name, pattern in VOCABULARY["patterns"].items()}
 """Patterns of names (see vocabulary.toml)."""

@@ -155,7 +155,7 @@ class BackingOut:
         return next(near, None)
 
     def choose_side(self, place: Float[np.ndarray, " 2"], course: Course, hazard: Hazard) -> None:
-        """Remember a stuck place: it is passed on the side with less hazard, and the next time on the other side."""
+        """Remember where the vehicle got stuck, to pass on the side with less hazard, and on the other next time."""
         place, before = np.array(place, float), self._before(place)
         if before is not None:
             before.place, before.side, before.times = place, -before.side, before.times + 1

@@ -122,7 +122,7 @@ class Follower:
         return decide_mode(ages.at_least(least), self._settings.timeouts, **faults)
 
     def follow(self, now: float, decision: ModeDecision, applied: Applied | None = None) -> Controls:
-        """Return the controls for the next `conventions.DT`: of the plan, or of a controlled stop.
+        """Return the controls of the plan, or of a controlled stop, for the next `conventions.DT`.
 
         A stop is completed before the vehicle drives again.
 

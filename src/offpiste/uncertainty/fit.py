@@ -171,7 +171,7 @@ class SpreadPrediction:
     freedom: float
 
     def region(self, probability: float) -> Float[Tensor, "B K 2"]:
-        """Return half axes, along and across the heading, of the regions with a probability [m]."""
+        """Return the half axes, along and across the heading, of regions that contain a probability [m]."""
         return self.scale * radius(probability, self.freedom)
 
 

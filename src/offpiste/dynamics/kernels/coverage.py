@@ -22,7 +22,7 @@ from offpiste.dynamics.vehicle import Vehicle
 
 logger = logging.getLogger(__name__)
 
-EAGER_COST: Final = "20 times slower in training, 50 to 100 times in planning"
+EAGER_COST: Final = "20 times slower in training, about 50 times in planning"
 """Time of eager steps relative to the kernels (docs/results.md)."""
 
 _HOOKS: Final = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks")
@@ -78,7 +78,7 @@ def uncovered_encoder(encoder: FeatureEncoder | None) -> str:
 
 
 def unknown_channels(vehicle: Vehicle) -> Sequence[str]:
-    """Return the columns of a vehicle's datasets that the kernels do not know."""
+    """Return the dataset columns of a vehicle that the kernels do not know."""
     commands = layout.COMMANDS[: len(vehicle.control_columns)]
     if vehicle.actuator_columns == ACTUATORS and vehicle.control_columns == commands:
         return ()

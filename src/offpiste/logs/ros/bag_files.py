@@ -92,7 +92,7 @@ def _encoding(connection: Connection) -> str:
 
 
 def whole_messages(connection: Connection, path: Path) -> Callable[[bytes], object]:
-    """Return the decoder of whole messages, which refuses messages that would take too much memory."""
+    """Return a decoder of whole messages that refuses those that would take too much memory."""
     store, msgtype = typestore_of(connection, path), connection.msgtype
     deserialize = store.deserialize_ros1 if _encoding(connection) == "ros1" else store.deserialize_cdr
     most = MOST_OBJECTS if has_entries(store.fielddefs, msgtype) else LARGEST

@@ -1,8 +1,6 @@
 """Ground cover: kinds of ground with their properties (grounds.toml), trees, bushes and tall grass."""
 
-import tomllib
 from functools import cache
-from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -10,6 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
+from offpiste.core.limits import packaged_table
 from offpiste.logs.ground_truth import GROUND_KINDS, GROUND_PROPERTIES
 from offpiste.simulation.world.grids import Axis, Grid, read_grid, smooth_noise, smooth_step
 from offpiste.simulation.world.terrain import HALF_WIDTH
@@ -34,7 +33,7 @@ _GRASSY = {"dry_grass": 1.0, "wet_grass": 1.0, "loose_sand": 0.15, "packed_sand"
 @cache
 def grounds() -> tuple[dict[str, Any], ...]:
     """Return the tables of grounds.toml, which explains the entries, in the order of `GROUND_KINDS`."""
-    rows = tomllib.loads((resources.files(__package__) / "grounds.toml").read_text(encoding="utf-8"))
+    rows = packaged_table(__package__, "grounds.toml")
     return tuple(rows[kind] for kind in GROUND_KINDS)
 
 
