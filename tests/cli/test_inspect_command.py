@@ -94,7 +94,7 @@ def test_a_time_that_no_name_shows_is_named(log: str, capsys: pytest.CaptureFixt
     capsys.readouterr()
     for option in ("--time", "--namespace"):
         why = refusal(capsys, "inspect", "odd.csv", option, "moment", "--rig", "my.toml")
-        assert f"{option} is for one log without a rig" in why
+        assert f"{option} is for a log without a rig" in why
 
 
 def test_a_column_that_cannot_be_read_is_said_to_be_and_not_to_be_missing(

@@ -93,7 +93,9 @@ def test_json_of_several_logs(logs: list[str], capsys: pytest.CaptureFixture[str
     assert said["usable"]
 
 
-@pytest.mark.parametrize("option", [["--write-rig", "x.toml"], ["--estimate-mountings"]])
+@pytest.mark.parametrize(
+    "option", [["--write-rig", "x.toml"], ["--estimate-mountings"], ["--time", "t"], ["--namespace", "/a"]]
+)
 def test_what_takes_one_log_says_so(logs: list[str], option: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert run("inspect", *logs, *option) == 1
     assert f"{option[0]} takes one log, not 3" in capsys.readouterr().err

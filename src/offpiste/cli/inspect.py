@@ -49,9 +49,9 @@ class Inspect:
         logs = [str(log) for log in expanded(self.logs)]
         if not logs:
             raise LogError("the log is missing", how="name one or more logs")
-        if (self.time or self.namespace) and (self.rig or len(logs) > 1):
+        if (self.time or self.namespace) and self.rig:
             option, how = ("--time", "set clock.column") if self.time else ("--namespace", "name the topics")
-            raise LogError(f"{option} is for one log without a rig", how=f"{how} in the rig")
+            raise LogError(f"{option} is for a log without a rig", how=f"{how} in the rig")
         if len(logs) > 1:
             return self._survey(logs)
         if self.estimate_mountings:
@@ -105,9 +105,10 @@ class Inspect:
         from offpiste.inspection.survey import inspect_logs, survey_table
         from offpiste.rig.rig import load_rig
 
-        if self.write_rig or self.estimate_mountings:
-            option = "--write-rig" if self.write_rig else "--estimate-mountings"
-            raise LogError(f"{option} takes one log, not {len(logs)}", how="give one of them")
+        given: dict[str, object] = {"--write-rig": self.write_rig, "--estimate-mountings": self.estimate_mountings}
+        given |= {"--time": self.time, "--namespace": self.namespace}
+        if options := [option for option, value in given.items() if value]:
+            raise LogError(f"{options[0]} takes one log, not {len(logs)}", how="give one of them")
         rig = load_rig(self.rig) if self.rig else None
         survey = inspect_logs(logs, rig, processes=self.processes, cluster=self.cluster)
         show(dumps(survey.as_dict(), indent=2) if self.json else survey_table(survey))
