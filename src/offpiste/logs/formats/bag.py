@@ -52,7 +52,7 @@ _OVERLAP: Final = 10**9
 """Largest overlap between pieces of a recording [ns]."""
 _JOINTS: Final = "sensor_msgs/msg/JointState"
 _TURNS: Final = 4
-"""Number of messages of a sensor within which several senders take turns."""
+"""Number of first messages of a sensor whose frames are compared to detect several senders."""
 _FIRST: Final = 100
 """Number of messages of a topic that give the names of its joints, or the lengths of its sequences."""
 
@@ -66,7 +66,7 @@ class BagLog(Log):
     later ones). Entries of sensor_msgs/JointState are identified by the names in the first hundred messages. Each pair
     of frames in the first messages of tf2_msgs/TFMessage is a topic of its own (`offpiste.logs.transforms`). Headers,
     text, raw bytes and sequences of messages are not fields. Samples are in order of arrival. A truncated MCAP file is
-    read as far as possible.
+    read up to its last complete chunk.
     """
 
     description = "a ROS bag (.bag, .mcap, .db3, or the folder of one)"
@@ -171,7 +171,8 @@ class BagLog(Log):
 
     def _messages(self, name: str, msgtype: str, decoder: MakeDecoder = whole_messages) -> Iterator[tuple[int, Any]]:
         """Yield the arrival [ns] and the decoded message."""
-        if (one := frame_pair(name)) is not None:
+        recorded = any(c.topic == name for reader in self._readers for c in reader.connections)
+        if not recorded and (one := frame_pair(name)) is not None:
             for received, message in self._messages(one.topic, self._topics[one.topic].type):
                 yield from ((received, stamped) for stamped in one.of(message))
             return
@@ -240,7 +241,7 @@ class BagLog(Log):
         return model_from_message(first[1], topic, rectified=rectified)
 
     def frame(self, topic: str) -> str:
-        """Return the frame in the first message's header; refuse another one in the next few."""
+        """Return the frame in the headers of the first messages; raise `LogError` if they differ."""
         frames = list(dict.fromkeys(frame_of(message) for _, message in islice(self.messages(topic), _TURNS)))
         if not frames:
             raise LogError(f"topic '{topic}' is empty", where=self.path, how="remove the sensor from the rig")
