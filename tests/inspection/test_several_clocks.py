@@ -143,6 +143,12 @@ def test_two_lidars_on_one_topic_are_not_mixed(tmp_path):
     sensors = open_sensors(log, sensor_rig(lidar + 'frame = "l"\n'))
     with pytest.raises(LogError, match=r"'top': its topic has several senders, of frames 'l' and 'r'; give each"):
         list(sensors.stream())
+    for k, message in enumerate(messages[1:]):  # a driver that restarts with another frame
+        message[2].header.frame_id = "lr"[k >= 10]
+    restarted = open_sensors(
+        open_log(record(tmp_path / "restarted.mcap", messages)), sensor_rig(lidar + 'frame = "l"\n')
+    )
+    assert len(list(restarted.stream())) == 20
 
 
 def test_quaternions_of_random_signs_have_one_sender():

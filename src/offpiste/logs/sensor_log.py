@@ -183,7 +183,7 @@ class SensorLog:
     def _converted(
         self, name: str, raw: Iterator[RawImage | RawCloud], convert: Callable[..., _T | str]
     ) -> Iterator[_T]:
-        """Yield usable messages sorted by time, and count others."""
+        """Yield usable messages sorted by time, count the others, and refuse senders that take turns."""
         latest, useless = -np.inf, 0
         stamps = self._recorded_stamps(name)
         if self.rig.clock.sort:
@@ -192,12 +192,13 @@ class SensorLog:
         self._read[name] = 0
         for key in [key for key in self._dropped if key[0] == name]:
             del self._dropped[key]
-        frame = ""
+        frames = [""]
         for measured in raw:
-            frame = frame or measured.frame
-            if measured.frame not in ("", frame):
-                what = f"'{name}': its topic has several senders, of frames '{frame}' and '{measured.frame}'"
-                raise LogError(what, where=self.path, how="give each a topic of its own, and record it again")
+            if measured.frame not in ("", frames[-1]):
+                if measured.frame in frames:  # a driver that restarts with another frame does not return to the first
+                    what = f"'{name}': its topic has several senders, of frames '{measured.frame}' and '{frames[-1]}'"
+                    raise LogError(what, where=self.path, how="give each a topic of its own, and record it again")
+                frames.append(measured.frame)
             self._read[name] += 1
             if measured.time not in rising or not measured.time > latest:
                 self._dropped[name, "stamps repeat or go back; those messages were dropped"] += 1
