@@ -74,9 +74,9 @@ def predict(dataset: Dataset, folders: Mapping[str, Path]) -> Predictions:
     paths: dict[str, np.ndarray] = {}
     for model, folder in folders.items():
         dynamics = load_run(folder).dynamics
-        pieces = [roll_out(dynamics, windows, part, "map") for part in in_parts(index, windows, "map")]
-        recorded = [batch.target[..., :2].numpy() for batch, _, _ in pieces]
-        paths[model] = np.concatenate([trajectory.state[..., :2].numpy() for _, trajectory, _ in pieces])
+        pieces = [roll_out(dynamics, windows, part, "map")[:2] for part in in_parts(index, windows, "map")]
+        recorded = [batch.target[..., :2].numpy() for batch, _ in pieces]
+        paths[model] = np.concatenate([trajectory.state[..., :2].numpy() for _, trajectory in pieces])
     return Predictions(windows.row_in_drive(index), np.concatenate(recorded), paths, folders)
 
 

@@ -153,6 +153,7 @@ def predictions_of(
         inputs = inputs_along(dynamics.vehicle, batch.state, trajectory, batch.control, source)
         trajectories.append(trajectory)
         residuals.append(Residuals(inputs, errors_in_heading(trajectory.state, batch.target)))
+        del source  # frees its maps before the next ones are read
     return joined(trajectories), joined(residuals)
 
 
