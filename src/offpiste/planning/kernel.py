@@ -14,10 +14,10 @@ from torch.nn.functional import pad
 from offpiste.core.conventions import ACTUATORS, CONTROL, DT
 from offpiste.core.state import ModelState
 from offpiste.dynamics.base import Dynamics
-from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder
+from offpiste.dynamics.feature_encoder import FeatureEncoder
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.autograd import supports
-from offpiste.dynamics.kernels.encoder import encode_cells, supports_encoder
+from offpiste.dynamics.kernels.encoder import codes_by_cell
 from offpiste.dynamics.kernels.model_state import from_kernel_state, to_kernel_state
 from offpiste.dynamics.kernels.structures import model_of
 from offpiste.mapping.terrain_sampler import MapStack
@@ -96,11 +96,8 @@ def encode_map(maps: MapStack, encoder: FeatureEncoder | None) -> Codes:
         return features[..., :0].float(), torch.zeros(0, device=features.device)
     missing = encoder.missing()
     cells = features.flatten(0, 1).to(missing.dtype)
-    seen = cells.sum(dim=-1).isfinite()
-    fast = isinstance(encoder, Compressor) and supports_encoder(encoder, cells)
-    codes = encode_cells(encoder, cells, seen) if fast else encoder(cells, seen)  # type: ignore[arg-type]
-    codes = codes.reshape(*features.shape[:2], -1)
-    return codes, missing
+    seen = cells.sum(dim=-1).isfinite()  # not finite if one feature is not; faster than testing each
+    return codes_by_cell(encoder, cells, seen).unflatten(0, features.shape[:2]), missing
 
 
 @torch.no_grad()

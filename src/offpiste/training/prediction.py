@@ -15,11 +15,10 @@ from offpiste.core.errors import DatasetError, OffpisteError, did_you_mean
 from offpiste.core.state import RecordedTerrain, Terrain, TerrainSource, Trajectory
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Dynamics, rollout
-from offpiste.dynamics.feature_encoder import Compressor
 from offpiste.dynamics.header.gpu import gpu_kernels
 from offpiste.dynamics.header.recorded import rollout_by_kernels
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
-from offpiste.dynamics.kernels.encoder import codes_under_wheels, encode_cells, supports_encoder
+from offpiste.dynamics.kernels.encoder import codes_by_cell, codes_under_wheels
 from offpiste.dynamics.kernels.map_rollout import predict_on
 from offpiste.mapping.terrain_sampler import MapTerrain
 
@@ -122,11 +121,7 @@ def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
         what = "the model reads terrain features and the dataset has none"
         raise DatasetError(what, how="extract with --pca (see fit-pca)")
     features, valid = batch.ground.features, batch.ground.valid
-    if isinstance(encoder, Compressor) and supports_encoder(encoder, features):
-        codes = encode_cells(encoder, features, valid)
-    else:
-        codes = encoder(features, valid)
-    codes = codes.to(batch.state.dtype)
+    codes = codes_by_cell(encoder, features, valid).to(batch.state.dtype)
     past = replace(batch.history.terrain, latent=codes_of_cells(codes, batch.ground.past))
     return replace(
         batch,

@@ -57,6 +57,16 @@ def encode_cells(
     return _Encode.apply(encoder_of(encoder, matrices), features, valid, *matrices)  # type: ignore[no-untyped-call, no-any-return]
 
 
+def codes_by_cell(
+    encoder: FeatureEncoder, features: Float[Tensor, "M F"], valid: Bool[Tensor, " M"]
+) -> Float[Tensor, "M E"]:
+    """Return the codes of cells, by the compiled library if it supports the encoder."""
+    if isinstance(encoder, Compressor) and supports_encoder(encoder, features):
+        return encode_cells(encoder, features, valid)
+    codes: Tensor = encoder(features, valid)
+    return codes
+
+
 def encoder_of(encoder: FeatureEncoder | None, matrices: Sequence[Tensor] | None = None) -> Encoder:
     """Return an encoder as the library reads it; one without features stands for none."""
     mean = torch.zeros(0) if encoder is None else encoder.mean
