@@ -42,7 +42,8 @@ class SteadyAges:
     def ages(self, came: float, state: MapState, acting: TimedPlan | None, steady: float) -> Ages:
         """Return the ages now [s], with the arrival of the last reading [s] and the followed plan.
 
-        Those of map and plan are the times for which their stamps have been constant, minus infinity for invalid ones.
+        The ages of scan, image and plan are the times since their stamps last changed; minus infinity without a finite
+        stamp.
         """
         start = -np.inf if acting is None else acting.start
         for name, stamp in {"scan": state.scan_time, "image": state.image_time, "plan": start}.items():

@@ -261,7 +261,7 @@ def layers_from(values: Values) -> TerrainLayers | None:
 
 def pack_plan(plan: TimedPlan, **more: Any) -> bytes:
     """Serialise a plan, and further values."""
-    return pack_fields(plan, **{"controls": plan.controls.numpy()} | more)
+    return pack_fields(plan, controls=plan.controls.numpy(), **more)
 
 
 def plan_from(values: Values) -> TimedPlan:

@@ -183,7 +183,10 @@ class VehicleMessages:
         return float("nan") if rate is None else float(rate[0])
 
     def _rate(self, channel: str, time: float) -> Float[np.ndarray, " k"] | None:
-        """Return the derivative of a channel, of the yaw for headings; None if it is unknown."""
+        """Return the derivative of a channel at `time` [s], in its unit per second; None if it is unknown.
+
+        For an orientation, it is that of the yaw angle [rad/s].
+        """
         samples, window = list(self._kept.get(channel, ())), self._rig.motion.window
         if samples and self._rig.channels[channel].interpolation == "on change":  # the last value holds
             later = time - window * np.arange(KEPT_UP)[::-1] / KEPT_UP

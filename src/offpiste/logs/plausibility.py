@@ -184,9 +184,8 @@ class _Segments:
         self.first, self.last = fresh[starts], fresh[ends]  # samples
         self.begin = time[fresh[starts]]  # begin, end: times, with repetitions cut short [s]
         self.end = (time[held] - steps.hold)[ends]
-        self.weight = (
-            clock[ends] - clock[starts] + np.maximum(steps.hold[ends], steps.typical)
-        )  # time added if kept [s]
+        # Time that keeping a segment adds [s].
+        self.weight = clock[ends] - clock[starts] + np.maximum(steps.hold[ends], steps.typical)
         last = len(steps.noise) - 1
         self.noise = np.minimum(steps.noise[np.minimum(starts, last)], steps.noise[np.maximum(ends - 1, 0)])
         # Unexplained distances of the steps before and after [m].

@@ -25,7 +25,7 @@ Applied = Callable[[Controls], Float[np.ndarray, " 3"]]
 
 @dataclass(frozen=True)
 class TimedPlan:
-    """A plan, its time, and where it leads."""
+    """A plan with its times and its predicted trajectory."""
 
     start: float  # time of its first control [s]
     made: float  # time at which it was made [s]

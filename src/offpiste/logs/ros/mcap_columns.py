@@ -206,7 +206,10 @@ _Index = dict[int, Int[np.ndarray, "_ 2"]]
 
 
 def _chunks(storage: McapReader) -> Iterator[tuple[_Index, UInt8[np.ndarray, " n"]]]:
-    """Yield the message index and the content of each chunk; meanwhile the next is decompressed."""
+    """Yield the message index and the content of each chunk while the next is decompressed.
+
+    Up to three chunks are held, of at most `LARGEST` each.
+    """
     ready: tuple[_Index, Future[Any]] | None = None
     with Path(str(storage.path)).open("rb") as file, ThreadPoolExecutor(1) as pool:
         for chunk in sorted(storage.chunks, key=lambda one: one.chunk_start_offset):

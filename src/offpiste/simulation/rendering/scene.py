@@ -33,12 +33,12 @@ blade in one of ten cases."""
 
 
 class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Part of the vehicle (body.toml)."""
+    """Box of the vehicle's body (body.toml)."""
 
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-    paint: tuple[float, float, float] = (0.03, 0.03, 0.033)  # of plastic
-    shadow: bool = False
+    low: tuple[float, float, float]  # lowest corner in the body frame [m]
+    high: tuple[float, float, float]  # highest corner [m]
+    paint: tuple[float, float, float] = (0.03, 0.03, 0.033)  # linear RGB; black plastic by default
+    shadow: bool = False  # whether it casts a shadow on the ground
 
 
 BODY: Final = msgspec.toml.decode((resources.files(__package__) / "body.toml").read_bytes(), type=dict[str, Part])
