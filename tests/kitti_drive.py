@@ -12,7 +12,7 @@ CALIBRATION = {
 
 
 def kitti_drive(day: Path, frames: int, step: float, calibration: str) -> Path:
-    """Write a drive to the north at about 1 m a frame, `step` seconds apart; calibration of camera 2 is appended."""
+    """Write a drive to the north and uphill, 1 m each a frame, every `step` s; append the calibration of camera 2."""
     drive = day / "drive_sync"
     for folder in ("oxts", "image_02", "velodyne_points"):
         (drive / folder / "data").mkdir(parents=True)

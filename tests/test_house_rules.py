@@ -13,7 +13,7 @@ SHARED_LINES = 6
 LONGEST_FUNCTION = 80
 LIMITS = {
     "src": 61_900,
-    "tests": 38_550,
+    "tests": 38_650,
     "experiments": 4_700,
     "benchmarks": 1_500,
     "docs [bytes]": 220_000,
@@ -92,12 +92,14 @@ def functions_in(node: ast.AST) -> list[ast.FunctionDef]:
     return [each for each in ast.walk(node) if isinstance(each, ast.FunctionDef) and each is not node]
 
 
-FUNCTIONS = [(file.relative_to(ROOT), each) for file in SOURCES for each in functions_in(ast.parse(file.read_text()))]
+FUNCTIONS = [
+    (file.relative_to(ROOT), each) for file in SOURCES for each in functions_in(ast.parse(file.read_text("utf-8")))
+]
 
 
 def test_functions_fit_on_a_screen():
-    lines = {f"{file} {node.name}": (node.end_lineno or 0) - node.lineno + 1 for file, node in FUNCTIONS}
-    assert not {name: count for name, count in lines.items() if count > LONGEST_FUNCTION}
+    lengths = [(f"{file}:{node.lineno}", (node.end_lineno or 0) - node.lineno + 1) for file, node in FUNCTIONS]
+    assert not [place for place, lines in lengths if lines > LONGEST_FUNCTION]
 
 
 def test_functions_made_while_running_have_no_shapes_in_their_annotations():

@@ -16,6 +16,7 @@ from offpiste.calibration.misfit import turned
 from offpiste.calibration.mountings import EstimatedMounting, estimated
 from offpiste.calibration.own_body import find_own_body
 from offpiste.calibration.samples import Gathered
+from offpiste.inspection.sensors import check_own_body
 from offpiste.logs.sensor_log import SensorLog
 from offpiste.rig.sensors import OPTICAL, LidarSource
 
@@ -62,8 +63,8 @@ def test_camera_from_a_guess_far_off():
     assert angle(found[0], world.BODY_FROM_CAMERA) < 1.0
 
 
-def surfaced(camera, *, images=None, lidar=None, lidar_parameters=None, scans=None):
-    """Fit of a camera to what its images and scans of a LiDAR show of the same surfaces."""
+def camera_fit(camera, *, images=None, lidar=None, lidar_parameters=None, scans=None):
+    """Fit of a camera to surfaces seen in its images and in scans of a LiDAR."""
     images, scans = world.images() if images is None else images, world.scans() if scans is None else scans
     return check_camera(camera, images, lidar or world.lidar(), scans, world.poses(), lidar_parameters)
 
@@ -133,7 +134,7 @@ def test_lidar(turn, late):
 
 @pytest.mark.parametrize(("turn", "late"), [((0, 0, 0), 0.0), (TURN, 0.0), ((0, 0, 0), 0.08)])
 def test_camera(turn, late):
-    found = surfaced(world.camera(turn), images=world.images(late=late))
+    found = camera_fit(world.camera(turn), images=world.images(late=late))
     as_planted(found, turn, late, degrees=0.15, seconds=0.004)
 
 
@@ -146,15 +147,15 @@ def test_straight_at_constant_speed_leaves_the_delay_unknown():
 
 def test_a_camera_is_checked_with_its_lidar_corrected():
     turn = np.deg2rad([0.0, 3.0, 0.0])
-    right = surfaced(world.camera(), lidar=world.lidar(turn), lidar_parameters=np.append(-turn, 0.0))
+    right = camera_fit(world.camera(), lidar=world.lidar(turn), lidar_parameters=np.append(-turn, 0.0))
     as_planted(right, degrees=0.25, seconds=0.008)
 
 
 def test_nothing_to_compare():
     assert check_lidar(world.lidar(), world.scans()[:4], world.poses()) is None
-    assert surfaced(world.camera(), scans=[]) is None
+    assert camera_fit(world.camera(), scans=[]) is None
     flat = [type(image)(image.time, np.full_like(image.pixels, 90)) for image in world.images()]
-    assert surfaced(world.camera(), images=flat) is None
+    assert camera_fit(world.camera(), images=flat) is None
 
 
 WHEELS = ((1.0, 0.7), (1.0, -0.7), (-1.0, 0.7), (-1.0, -0.7))
@@ -183,3 +184,7 @@ def test_what_stands_is_the_vehicle():
             assert (found.box[1] >= high).all()
         assert (found.box[0] <= known[0]).all()
         assert (found.box[1] >= known[1]).all()
+        gathered = Gathered({"top": with_part(scans, low, high)}, {}, 0.0, world.SECONDS, 0.5)
+        (finding,) = check_own_body(world.lidar(), gathered, poses, WHEELS)
+        assert (finding.where, finding.what) == ("top", "sees the vehicle itself")
+        assert finding.cures[0][0].key == "lidars.top.own_body"

@@ -1,6 +1,7 @@
 """Snapshots: their cells, their windows and their files; predictions read them like the whole map."""
 
 import dataclasses
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -168,3 +169,27 @@ def test_lists_of_cells_are_read_as_the_maps_they_are_lists_of():
     assert 100 < one.known.sum() < one.valid.sum() < 2000
     for name in ("normal", "known", "features", "valid"):
         torch.testing.assert_close(getattr(other, name), getattr(one, name), rtol=0, atol=0, equal_nan=True)
+
+
+def test_cells_near_a_path_are_those_within_the_margin():
+    terrain, cells = holed(np.random.default_rng(1), (80, 120))
+    path = terrain.origin + np.array([[5.0, 5.0], [8.0, 9.0], [11.0, 10.0]])
+    near, nowhere = cells.near(path, 3.0, 0.25), cells.near(path + 1000.0, 3.0, 0.25)
+
+    def places(of):
+        row, column = np.divmod(of.place, of.shape[1])
+        return of.origin + 0.25 * np.stack((column, row), axis=-1)
+
+    within = np.hypot(*(places(cells)[:, None] - path).transpose(2, 0, 1)).min(axis=1) <= 3.0
+    np.testing.assert_allclose(places(near), places(cells)[within])
+    for name in ("elevation", "rise", "features"):
+        np.testing.assert_array_equal(getattr(near, name), getattr(cells, name)[within])
+    assert near.shape[0] < 60
+    assert (nowhere.shape, len(nowhere.place)) == ((1, 1), 0)
+
+
+def test_a_dataset_says_that_its_snapshots_are_damaged(tmp_path):
+    path = made(tmp_path / "d.zarr").path
+    shutil.rmtree(path / "drive 1" / "snapshots" / "features" / "c")
+    with pytest.raises(DatasetError, match="drive 'drive 1' cannot be read"):
+        store.open_dataset(path)

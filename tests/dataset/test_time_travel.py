@@ -15,8 +15,8 @@ from rosbags import rosbag2
 from rosbags.rosbag2.enums import StoragePlugin
 from scipy.spatial.transform import Rotation
 
-from bag_files import ROS2
-from factories import RIG
+from bag_files import ROS2, converted
+from factories import HEAD
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.resample import Rows, extract_rows
 from offpiste.dataset.splits import parse_split
@@ -122,6 +122,11 @@ def ros2(storage: StoragePlugin) -> Callable[[Path, Topics], None]:
     return write
 
 
+def ros1(path: Path, topics: Topics) -> None:
+    ros2(StoragePlugin.MCAP)(path.with_suffix(""), topics)
+    converted(path.with_suffix(""), path)
+
+
 def tartandrive(path: Path, topics: Topics) -> None:
     for name, (time, values) in topics.items():
         (path / name).mkdir(parents=True)
@@ -145,9 +150,24 @@ def table(write: Callable[[pa.Table, Path], None]) -> Callable[[Path, Topics], N
     return whole
 
 
+def kitti(path: Path, topics: Topics) -> None:
+    """Poses alone, as latitudes and longitudes."""
+    (path / "oxts" / "data").mkdir(parents=True)
+    time, (x, y, z, *quaternion) = topics["odom"][0], topics["odom"][1].T
+    stamps = np.round(time * 1e9).astype(np.int64).astype("datetime64[ns]")
+    (path / "oxts" / "timestamps.txt").write_text("\n".join(str(stamp).replace("T", " ") for stamp in stamps))
+    euler = np.unwrap(2 * np.arctan2(quaternion[2], quaternion[3]))
+    degrees = np.rad2deg(1 / 6378137.0)
+    rates = np.diff(np.stack((y, x, z, euler)), axis=1, prepend=0.0) / np.diff(time, prepend=0.0)
+    for row in range(len(time)):
+        values = [y[row] * degrees, x[row] * degrees, z[row], 0.0, 0.0, euler[row], *24 * [0.0]]
+        values[6:8], values[10], values[19] = rates[:2, row].tolist(), rates[2, row], rates[3, row]
+        (path / "oxts" / "data" / f"{row:010}.txt").write_text(" ".join(map(repr, map(float, values))))
+
+
 def rig_of(name: Callable[[str, str], str], topic: str = 'topic = "{}"\n') -> Rig:
     """A rig for a format, by how it names a topic's fields."""
-    text = "\n".join(line for line in RIG.split("[channels")[0].split("\n") if not line.startswith("absent"))
+    text = "\n".join(line for line in HEAD.split("\n") if not line.startswith("absent"))
     for channel, (of, *fields) in CHANNELS.items():
         unit = 'unit = "rev/min"\n' if channel == "engine_rpm" else ""
         text += f"[channels.{channel}]\n{topic.format(of)}fields = {[name(of, f) for f in fields]}\n{unit}"
@@ -160,6 +180,8 @@ NAMED = rig_of(lambda topic, field: field, "")
 FORMATS: dict[str, tuple[str, Rig, Callable[[Path, Topics], None]]] = {
     "mcap": ("drive", ROS, ros2(StoragePlugin.MCAP)),
     "db3": ("drive", ROS, ros2(StoragePlugin.SQLITE3)),
+    "bag": ("drive.bag", ROS, ros1),
+    "kitti": ("drive_sync", load_rig("kitti"), kitti),
     "tartandrive": ("drive", NUMBERED, tartandrive),
     "csv": ("drive.csv", NAMED, table(pa.csv.write_csv)),
     "parquet": ("drive.parquet", NAMED, table(pa.parquet.write_table)),

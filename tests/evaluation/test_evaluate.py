@@ -192,8 +192,8 @@ def test_figures_stand_in_their_sections_and_one_with_nothing_to_draw_is_left_ou
 
 
 def test_a_model_that_diverges_is_counted_as_failed_once_for_each_run(dataset: Dataset, tmp_path: Path) -> None:
-    broken = changed(ConstantMotion, lambda moved, before, step: moved * 1e3)
-    runs = [EvaluatedModel("b", broken, seed=seed) for seed in (0, 1)]
+    diverging = changed(ConstantMotion, lambda moved, before, step: moved * 1e3)
+    runs = [EvaluatedModel("b", diverging, seed=seed) for seed in (0, 1)]
     found = evaluate_models(runs, dataset, **QUICK, starts=("causal",), lookups=("map",))
     broken = row(found.metrics.results, "b", "causal", "map")
     assert broken.n_failed == broken.n == found.metrics.windows.n

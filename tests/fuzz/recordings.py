@@ -12,7 +12,7 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from bag_files import converted
-from factories import RIG
+from factories import HEAD
 from offpiste.logs.ros.writer import McapWriter, header, make
 from sensor_bags import odometry_of, twist_of
 from tests.fuzz.mutations import Generator, mutate_values
@@ -138,7 +138,7 @@ CONTAINERS = {
 }
 """Formats by name; what each writes is called `name`."""
 
-VEHICLE = RIG.split("[channels")[0] + "[clock]\nmax_gap = 0.5\n[motion]\nwindow = 0.3\nslope_length = 6.0\n"
+VEHICLE = HEAD + "[clock]\nmax_gap = 0.5\n[motion]\nwindow = 0.3\nslope_length = 6.0\n"
 
 
 def rig_text(kind: str) -> str:

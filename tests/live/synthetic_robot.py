@@ -141,7 +141,7 @@ def tree():
 
 
 class Robot:
-    """Publishes odometry, and a scan with every `scans` of it."""
+    """Robot that publishes odometry, and a scan with every `scans`-th odometry message."""
 
     def __init__(self, session, *, odom_topic="/odom", without=(), scans=5, scan_age=0.1):
         self.odom, self.rows = session.publisher(odom_topic, ODOMETRY), count()

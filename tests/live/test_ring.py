@@ -161,7 +161,8 @@ def test_records_are_restored():
     values = unpacked(rings.pack_plan(plan(1.0), empty=False))
     same(plan(1.0), rings.plan_from(values))
     assert values["empty"] is False
-    same(layers(4), rings.layers_from(unpacked(rings.pack_layers(layers(4), scan_time=1.0))))
+    ground = layers(9, plane=(0.5, -0.2)).cropped(np.array([-1.0, -0.5]), np.array([0.5, 0.5]))  # not square
+    same(ground, rings.layers_from(unpacked(rings.pack_layers(ground, scan_time=1.0))))
     assert rings.layers_from(unpacked(rings.pack_layers(None))) is None
     with pytest.raises(NotImplementedError):
         packed({"code": print})

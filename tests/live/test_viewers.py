@@ -18,7 +18,6 @@ from offpiste.runtime.estimator import VehicleReading
 from runtime.stream import WHEELS
 from transport.routers import free_port, until
 
-pytest.importorskip("foxglove")
 chunks = pytest.importorskip("rerun.chunk")
 client = pytest.importorskip("websockets.sync.client")
 protobuf = pytest.importorskip("google.protobuf.descriptor_pb2")

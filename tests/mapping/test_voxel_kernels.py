@@ -45,7 +45,8 @@ def contents(held):
 @pytest.mark.parametrize(("channels", "capacity"), [(0, 40_000), (3, 40_000), (3, 500)])
 def test_voxels_are_the_same_without_the_library(rule, channels, capacity, monkeypatch):
     rng = np.random.default_rng(channels)
-    settings = VoxelSettings(reach=4.0, height_reach=1e300, rule=rule, capacity=capacity)
+    threads = 2 if channels else 1
+    settings = VoxelSettings(reach=4.0, height_reach=1e300, rule=rule, capacity=capacity, threads=threads)
     compiled, plain = VoxelMap(channels, settings), VoxelMap(channels, settings)
     for far in (0.0, 1.5, -1.0, 40.0, 4.5e6):
         centre = np.array([far, -far, 1e-4 * far])

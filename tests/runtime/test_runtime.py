@@ -29,8 +29,7 @@ def commands(stream):
 
 @pytest.fixture(scope="module")
 def driven():
-    stream = straight_drive().run(4.0)
-    return stream
+    return straight_drive().run(4.0)
 
 
 def test_it_follows_its_course_at_speed(driven):

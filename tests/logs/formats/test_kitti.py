@@ -76,7 +76,7 @@ def test_the_velodyne_turns_clockwise_from_behind():
     np.testing.assert_allclose(time_in_sweep(directions, -0.05, 0.05), [-0.05, -0.025, 0, 0.025, 0.05], atol=1e-9)
 
 
-FIRST_ROW, FIRST_SCAN = "oxts/data/0000000001.txt", "velodyne_points/data/0000000000.bin"
+SECOND_ROW, FIRST_SCAN = "oxts/data/0000000001.txt", "velodyne_points/data/0000000000.bin"
 
 
 @pytest.mark.parametrize(
@@ -85,8 +85,8 @@ FIRST_ROW, FIRST_SCAN = "oxts/data/0000000001.txt", "velodyne_points/data/000000
         ("../calib_velo_to_cam.txt", None, "calib_velo_to_cam.txt: no calibration"),
         ("../calib_imu_to_velo.txt", "T: 1 2 3", "file lacks R"),
         ("oxts/timestamps.txt", "yesterday\n", "no stamps"),
-        (FIRST_ROW, "1 2 3", "3 numbers, not 30"),
-        (FIRST_ROW, "one", "not a row of numbers"),
+        (SECOND_ROW, "1 2 3", "3 numbers, not 30"),
+        (SECOND_ROW, "one", "not a row of numbers"),
         ("velodyne_points/timestamps.txt", "2011-09-26 13:10:50.5\n", "1 stamps, but a frame 2"),
         (FIRST_SCAN, "\0" * 20, "not rows of"),
         ("image_02/data/thumbs.db", "", "its name is not a frame number"),
