@@ -1,4 +1,4 @@
-"""Latitude and longitude, or east and north, that are exchanged in the log or in the rig."""
+"""Latitude and longitude, or east and north, that the rig reads in the wrong order."""
 
 import numpy as np
 import pytest
@@ -31,12 +31,6 @@ def located(latitude: float, longitude: float) -> MemoryLog:
     return MemoryLog({**log.data, "odom": (time, columns)})
 
 
-def exchanged(log: MemoryLog, one: str, other: str) -> MemoryLog:
-    """The log with two columns of its pose under each other's names."""
-    time, odom = log.data["odom"]
-    return MemoryLog({**log.data, "odom": (time, odom | {one: odom[other], other: odom[one]})})
-
-
 def read_by(fields: tuple[str, str], heading: dict[str, object]) -> Rig:
     """A rig that reads these places, and the heading so."""
     places = {"topic": "odom", "fields": list(fields)} | ({"unit": "lat lon"} if "lat" in fields else {})
@@ -47,23 +41,6 @@ def read_by(fields: tuple[str, str], heading: dict[str, object]) -> Rig:
 
 def wrong(log: MemoryLog, given: Rig) -> list[Finding]:
     return severe(log, given)
-
-
-@pytest.mark.parametrize("heading", [COMPASS, AS_IT_STANDS], ids=["compass", "as it stands"])
-@pytest.mark.parametrize("place", [(50.0, 8.0), (-33.9, -70.6)], ids=str)
-def test_latitude_and_longitude_are_exchanged_back_and_nothing_is_left(
-    place: tuple[float, float], heading: dict[str, object]
-) -> None:
-    """Not the signs of heading, steering and rate, which would fit as well but for the stretched world."""
-    log, given = exchanged(located(*place), *LAT_LON), read_by(LAT_LON, heading)
-    cure = inspect_log(log, given).cure
-    assert Edit("channels.position.fields", ["lon", "lat"]) in cure
-    assert not {edit.key for edit in cure} & {
-        "channels.steer.sign",
-        "channels.steer_angle.sign",
-        "channels.yaw_rate.sign",
-    }
-    assert wrong(log, edited(given, cure)) == []
 
 
 @pytest.mark.parametrize("fields", [LAT_LON, EAST_NORTH], ids=" ".join)

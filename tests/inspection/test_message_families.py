@@ -177,32 +177,6 @@ def test_metres_from_the_middle_of_the_earth_are_no_world() -> None:
     assert [f.what for f in inspect_log(utm, rig).findings if f.severity == "fatal"] == []
 
 
-@pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("cm", 0.01)])
-def test_a_world_of_unreal_is_turned_so_that_left_is_left(unit: str, scale: float) -> None:
-    """Its y is to the right, its yaw counts clockwise, and all else is seen in the same mirror."""
-    world = {
-        "x": (ODOM["x"], QUANTITIES["east"]),
-        "y": (-ODOM["y"], -QUANTITIES["north"]),
-        "z": (ODOM["z"], ODOM["vz"]),
-    }
-    columns = {f"location.{axis}": place / scale for axis, (place, _) in world.items()}
-    columns |= {f"velocity.{axis}": velocity / scale for axis, (_, velocity) in world.items()}
-    columns |= {"rotation.yaw": np.degrees(-YAW), "throttle": QUANTITIES["throttle"], "brake": QUANTITIES["brake"]}
-    log = MemoryLog({"": (TIME, columns | {"steer": -QUANTITIES["steer"]})})
-    rig = drafted(log)
-    inspection = inspect_log(log, rig)
-    assert "the world is seen in a mirror" in {f.what for f in inspection.findings}
-    rig = edited(rig, inspection.cure)
-    channels = rig.channels
-    assert channels["position"].unit == (unit if unit != "m" else "")
-    assert channels["position"].fields[:2] == ("location.y", "location.x")
-    assert (channels["yaw"].sign, channels["yaw"].offset, channels["steer"].sign) == (-1, -90.0, -1)
-    velocity = channels["linear_velocity"]
-    assert (velocity.frame, velocity.fields[:2], velocity.scale) == ("world", ("velocity.y", "velocity.x"), scale)
-    assert rig.vehicle.max_steer == pytest.approx(0.33, abs=0.03)
-    assert [f.what for f in inspect_log(log, rig).findings if f.severity != "note"] == []
-
-
 @pytest.mark.parametrize("shown", ["minutes", "degrees and minutes"])
 def test_places_that_are_no_degrees_are_said_so_once(shown: str) -> None:
     """Minutes of arc, as in .vbo files, and ddmm.mmmm, as in sentences of NMEA."""

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.inspection.driven_path import STEP, DrivenPath
-from offpiste.inspection.findings import EXCHANGED, Finding, Severity
+from offpiste.inspection.findings import Finding, Severity
 from offpiste.inspection.lags import SURE, jackknife
 from offpiste.logs.channel import turning_sign
 from offpiste.logs.drive import Drive
@@ -35,14 +35,6 @@ _STRAIGHT: Final = 0.3
 """Share of the moving rows, those with the least turning, that counts as straight driving."""
 _ONE_WAY: Final = 0.7
 """Minimum resultant of headings of a drive back and forth along one direction."""
-_STRETCHES: Final = np.geomspace(1.0, 10.0, 30)
-"""Candidate east/north scale ratios for swapped coordinates."""
-_STRETCHED: Final = 1.1
-"""Minimum detectable ratio; a compass near iron has errors of this size."""
-_FITS_BETTER: Final = 0.5
-"""Maximum misfit of the stretched course, as a share of the present misfit ..."""
-_LACKS: Final = 0.003
-"""... if that is at least this large."""
 _OF_GEOGRAPHIC: Final = {"z up": ("ned", -np.pi / 2), "ned": ("z up", np.pi / 2)}
 """Alternative axes of an orientation with latitude and longitude, and the course rotation [rad]."""
 
@@ -54,19 +46,12 @@ class Reading:
     Attributes:
         together: resultant of course minus heading while moving, 0 to 1; backward counts as forward.
         offset, offset_sigma: mean of course minus heading in straight driving [rad].
-        stretch: east/north scale ratio of swapped coordinates.
     """
 
     edits: tuple[Edit, ...]
     together: float
     offset: float
     offset_sigma: float
-    stretch: float = 1.0
-
-    @property
-    def exchanged(self) -> bool:
-        """Return True if the first two fields of the position are swapped."""
-        return any(edit.key == "channels.position.fields" for edit in self.edits)
 
 
 def heading_fits(path: DrivenPath) -> bool:
@@ -82,26 +67,7 @@ def check_course(drive: Drive, path: DrivenPath) -> list[Finding]:
         return []
     name = "yaw" if "yaw" in drive.channels else "orientation"
     plain, *others = readings(drive, path)
-    exchanged = _check_exchanged(name, [plain, *others], drive.rig)
-    return exchanged + _check_heading(name, plain, others, drive.rig)
-
-
-def _check_exchanged(name: str, ways: Sequence[Reading], rig: Rig) -> list[Finding]:
-    """Return a finding if positions are stretched as by swapped latitude and longitude.
-
-    A degree of longitude is shorter than one of latitude by the cosine of the latitude.
-    """
-    if rig.channels["position"].unit != GEOGRAPHIC:
-        return []
-    best = max((way for way in ways if way.exchanged), key=lambda way: way.together)
-    lacks = 1 - max(way.together for way in ways if not way.exchanged)
-    if best.stretch < _STRETCHED or lacks < _LACKS or 1 - best.together > _FITS_BETTER * lacks:
-        return []
-    cure = _with_offset(name, best, rig)
-    evidence = f"heading and course agree to {best.together:.3f} with the exchange, and to {1 - lacks:.3f} at best "
-    evidence += f"without: places are {best.stretch:.2g} times too long in one of two directions"
-    how = ", ".join(map(str, cure))
-    return [Finding("warning", "position", EXCHANGED, evidence, how, 1.0, (cure,), sure=False)]
+    return _check_heading(name, plain, others, drive.rig)
 
 
 def _check_heading(name: str, plain: Reading, others: Sequence[Reading], rig: Rig) -> list[Finding]:
@@ -147,12 +113,9 @@ def readings(drive: Drive, path: DrivenPath) -> Iterator[Reading]:
         edits = [Edit("channels.position.fields", _exchanged(drive.rig))] if swap else []
         edits += [Edit("channels.yaw.sign", -yaw.sign)] if yaw and sign < 0 else []
         edits += [Edit("channels.yaw.unit", unit)] if unit else []
-        ways = []
-        for stretch in (_STRETCHES if places else (1.0,)) if swap else (0.0,):
-            difference = _course(path, exchanged=float(stretch)) - turned
-            ways.append((_agreement(difference, turned, moving, straight), stretch, difference))
-        agreement, stretch, difference = max(ways, key=lambda way: way[0])
-        yield Reading(tuple(edits), agreement, *_offset(difference, measured, moving), stretch)
+        difference = _course(path, exchanged=swap) - turned
+        agreement = _agreement(difference, turned, moving, straight)
+        yield Reading(tuple(edits), agreement, *_offset(difference, measured, moving))
     # With an orientation, all axes may be north-east-down; a compass alone needs no other axes.
     if places and (yaw is None or _has_axes(drive.rig)) and drive.rig.motion.axes in _OF_GEOGRAPHIC:
         other, quarter = _OF_GEOGRAPHIC[drive.rig.motion.axes]
@@ -238,15 +201,11 @@ def under_way(path: DrivenPath) -> Bool[np.ndarray, " n"]:
     return moving
 
 
-def _course(path: DrivenPath, exchanged: float = 0.0) -> Float[np.ndarray, " n"]:
-    """Return the direction of travel, reversed in reverse gear [rad].
-
-    Args:
-        exchanged: east/north scale ratio if x and y are swapped, otherwise 0.
-    """
-    x, y = path.velocity.T
-    course = np.asarray(np.arctan2(x, y / exchanged) if exchanged else np.arctan2(y, x))
-    return course if path.reverse is None else course + np.pi * path.reverse
+def _course(path: DrivenPath, *, exchanged: bool = False) -> Float[np.ndarray, " n"]:
+    """Return the direction of travel, reversed in reverse gear and optionally with x and y swapped [rad]."""
+    x, y = path.velocity.T[:: -1 if exchanged else 1]
+    course = np.arctan2(y, x)
+    return np.asarray(course if path.reverse is None else course + np.pi * path.reverse)
 
 
 def _straight(path: DrivenPath, moving: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

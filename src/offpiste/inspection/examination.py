@@ -1,15 +1,10 @@
 """Run of all channel checks on a log with one rig."""
 
-import re
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
-
-import numpy as np
 
 from offpiste.core.errors import OffpisteError
 from offpiste.inspection.checks import Topics, check_motion, check_topics
-from offpiste.inspection.course import check_course, heading_fits
+from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import MOVING, DrivenPath, driven_path
 from offpiste.inspection.findings import Finding, is_fatal, ranked
 from offpiste.inspection.heading_drift import check_fast_drift
@@ -21,19 +16,14 @@ from offpiste.inspection.stamps import check_spans
 from offpiste.logs.channel import WORLD_DOWN
 from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log
-from offpiste.rig.channels import unit_factor
-from offpiste.rig.edits import Edit, rounded
-from offpiste.rig.labels import named_axis, named_course, named_down
+from offpiste.rig.edits import Edit
+from offpiste.rig.labels import named_course, named_down
 from offpiste.rig.rig import Rig
 
 _LEAST_DRIVING = 6.0
 """Minimum driving time [s]; a window with its history takes 5.2 s."""
 _LEAST_CRUISE = 0.2
 """Minimum cruising speed of a driven log [m/s]."""
-
-_LOCATION: Final = re.compile(r"(?<![a-z])location[._ ]?[xy]$", re.IGNORECASE)
-_ROTATION: Final = re.compile(r"(?<![a-z])rotat(ion|or)[._ ]?yaw$", re.IGNORECASE)
-"""Unreal's and CARLA's name of a pose, with y to the right and clockwise yaw."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +97,6 @@ def _check_heading(drive: Drive, path: DrivenPath) -> list[Finding]:
     """Check the heading against the course; an offset that no rig entry explains may be a drift."""
     found = check_course(drive, path)
     unexplained = any(not finding.cures and finding.severity != "note" for finding in found)
-    if not found and heading_fits(path):
-        return _mirrored(drive.rig)
     return (check_fast_drift(drive, path) if unexplained else []) or found
 
 
@@ -127,53 +115,6 @@ def _check_pose_names(rig: Rig) -> list[Finding]:
         evidence = f"'{course[0]}'; sliding cannot be seen in it, backwards looks like forwards, at rest it is noise"
         findings.append(Finding("note", "yaw", what, evidence, "take a heading where one is recorded", 0.3))
     return findings
-
-
-def _mirrored(rig: Rig) -> list[Finding]:
-    """Return a finding if left and right are swapped according to the pose's names although the heading fits.
-
-    Either y is read before x (a compass), or x before y in a game world with y to the right.
-    """
-    fields, yaw = rig.channels["position"].fields, rig.channels.get("yaw")
-    x, y, *z = fields
-    named = [named_axis(field) for field in fields[:2]]
-    game = yaw is not None and _LOCATION.search(fields[0]) is not None
-    if yaw is None or rig.motion.axes != "z up" or named != (["x", "y"] if game else ["y", "x"]):
-        return []
-    if not game and yaw.sign < 0:
-        return []  # the rig reads a compass: the first axis is north, whatever its name
-    quarter = np.pi / 2 / (yaw.sign * unit_factor("yaw", yaw.unit))
-    pose: tuple[Edit, ...] = (
-        Edit("channels.position.fields", [y, x, *z]),
-        Edit("channels.yaw.sign", -yaw.sign),
-        Edit("channels.yaw.offset", rounded(yaw.offset - quarter)),
-    )
-    steering = (name for name in ("steer", "steer_angle") if name in rig.channels)
-    signs = tuple(Edit(f"channels.{name}.sign", -rig.channels[name].sign) for name in steering)
-    if game:
-        pose += tuple(_velocities_mirrored(rig))
-    cure = (*pose, *signs)  # a steering fitted to a mirrored pose is wrong after the fix
-    evidence = f"position reads {fields[0]} before {fields[1]}, and the heading, clockwise then, follows the course"
-    how = ", ".join(map(str, cure)) + "; left and right are exchanged until then"
-    if game:
-        evidence = f"'{fields[0]}' and '{yaw.fields[0]}' are names of Unreal and CARLA, whose y is to the right"
-        how += "; none, if the log was turned to y left before"
-    what, cures = "the world is seen in a mirror", (cure, pose) if signs else (pose,)
-    if game and _ROTATION.search(yaw.fields[0]) is None:
-        evidence = f"'{fields[0]}' is a name of Unreal and CARLA, whose y is to the right; of others, too"
-        return [Finding("note", "yaw", "the world may be seen in a mirror", evidence, how, 1.0)]
-    return [Finding("warning", "yaw", what, evidence, how, 1.0, cures)]
-
-
-def _velocities_mirrored(rig: Rig) -> Iterator[Edit]:
-    """Yield edits for the velocities of a mirrored world."""
-    for name in ("linear_velocity", "angular_velocity", "yaw_rate"):
-        source = rig.channels.get(name)
-        if source is not None and name == "linear_velocity" and source.frame != "body":
-            x, y, *z = source.fields
-            yield Edit(f"channels.{name}.fields", [y, x, *z])
-        elif source is not None and name != "linear_velocity":
-            yield Edit(f"channels.{name}.sign", -source.sign)  # only the yaw rate is used
 
 
 def _check_orientation(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
