@@ -36,12 +36,10 @@ _OTHER_BODY: Final = {"z up": "body down", "body down": "z up", "ned": "world do
 """Axes with the same world frame and the opposite direction of the body's z axis."""
 _ROLLING: Final = (0.6, 1.8)
 """Range of wheel speed / vehicle speed, including slip and worn tyres."""
+_WITHOUT_SLIP: Final = (0.7, 1.45)
+"""The same for wheels that roll without slip, as with another tyre size."""
 _PROPORTIONAL: Final = 0.03
-"""Maximum misfit of rolling wheels, so that the gain is that of a unit or radius."""
-_ONE_UNIT: Final = 0.01
-"""Maximum relative deviation of such a gain from that of a unit."""
-_TYRES: Final = 0.3
-"""Maximum deviation of such a gain from 1 that another tyre size may cause."""
+"""Maximum misfit of wheels that roll without slip."""
 _COUNTED: Final = 0.02
 """Maximum relative deviation of a gain from a power of ten, as for cm/s or mm/s."""
 _UNITS = {"km/h": 3.6, "mph": 2.23694, "kn": 1.94384}
@@ -157,44 +155,16 @@ def check_wheel_speed(drive: Drive, path: DrivenPath) -> list[Finding]:
     fit = fit_wheel_speed(drive, path)
     if fit is None or fit.misfit > _FOLLOWS:
         return []
-    if fit.misfit < _PROPORTIONAL and (found := _other_speed_unit(fit, drive.rig.channels["wheel_speed"])):
-        return found
-    if _ROLLING[0] < abs(fit.gain) < _ROLLING[1]:
+    least, most = _WITHOUT_SLIP if fit.misfit < _PROPORTIONAL else _ROLLING
+    if least < abs(fit.gain) < most:
         return []
     # At a nearly constant speed, slip dominates the variation and has another gain.
     recorded = on_path(path, drive.channels["wheel_speed"]).mean(axis=1)
     known = np.isfinite(recorded) & np.isfinite(path.forward)
     level = float(recorded[known] @ path.forward[known]) / max(float(path.forward[known] @ path.forward[known]), 1e-9)
-    if not _ROLLING[0] < level / fit.gain < _ROLLING[1]:
+    if not least < level / fit.gain < most:
         return []
     return _gain("wheel_speed", fit, drive.rig, "m/s", _UNITS)
-
-
-def _other_speed_unit(fit: FrameFit, source: ChannelSource) -> list[Finding]:
-    """Return a finding if wheel speeds are in another unit than stated; a note if tyre size may explain it."""
-    name, stated = "wheel_speed", unit_factor("wheel_speed", source.unit) * source.scale
-    evidence = f"it is {fit.gain:.4g} ± {fit.gain_sigma:.1g} times the pose's speed, and follows it to {fit.misfit:.1%}"
-    here = [unit for unit, each in _UNITS.items() if abs(stated * each - 1) < _ONE_UNIT]
-    for unit in here and _UNITS.keys() - {*here}:
-        if abs(fit.gain / (stated * _UNITS[unit]) - 1) < _ONE_UNIT:
-            cure = (
-                Edit(f"channels.{name}.unit", unit),
-                *([Edit(f"channels.{name}.scale", 1.0)] if source.scale != 1 else []),
-            )
-            how, what = ", ".join(map(str, cure)), f"is in {unit}, not in {here[0]}"
-            if abs(fit.gain - 1) > _TYRES:
-                return [Finding("warning", name, what, evidence, how, 0.9, (cure,))]
-            return [
-                Finding(
-                    "note", name, f"may be in {unit}", evidence, f"no action needed if tyres are so; else {how}", 0.4
-                )
-            ]
-    if here and not _SAME[0] < fit.gain < _SAME[1] and _ROLLING[0] < fit.gain < _ROLLING[1]:
-        radius = stated / fit.gain
-        how = f"no action needed if tyres are so; of wheels in rad/s with a radius of {radius:.2g} m: "
-        how += f'channels.{name}.unit = "m/s", channels.{name}.scale = {rounded(radius)}'
-        return [Finding("note", name, f"may not be in {here[0]}", evidence, how, 0.4)]
-    return []
 
 
 def check_turn_rate(drive: Drive, path: DrivenPath) -> list[Finding]:
