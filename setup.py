@@ -1,9 +1,14 @@
-"""Builds the compiled libraries (`src/offpiste/native/cpp`); without a C++ compiler the installation does without."""
+"""Prints the physics as C++ and builds the compiled libraries (`src/offpiste/native/cpp`).
+
+Without a C++ compiler the installation does without the libraries.
+"""
 
 import os
 import platform
 import runpy
+import sys
 from pathlib import Path
+from types import ModuleType
 
 from setuptools import Extension, setup
 from setuptools.command.bdist_wheel import bdist_wheel
@@ -13,6 +18,17 @@ SOURCES = Path("src/offpiste/native/cpp")
 TREE = runpy.run_path("src/offpiste/native/sources.py")
 QUIET = ("-Wno-maybe-uninitialized", "-Wno-uninitialized")  # in headers of g++ for AVX-512
 SETS = ("avx512", "avx2", "baseline") if platform.machine() in ("x86_64", "AMD64") else ("baseline",)
+
+
+def print_physics() -> None:
+    """Print the physics as C++ where that is missing or older than the Python it is printed from."""
+    changed = max(path.stat().st_mtime for path in TREE["PRINTED_FROM"])
+    if all(path.exists() and path.stat().st_mtime > changed for path in TREE["PRINTED"]):
+        return
+    for name in ("offpiste", "offpiste.core", "offpiste.dynamics", "offpiste.dynamics.kernels"):
+        sys.modules[name] = ModuleType(name)  # the packages themselves import what is not installed yet
+        sys.modules[name].__path__ = [str(Path("src", *name.split(".")))]
+    runpy.run_module("offpiste.dynamics.kernels.generate", run_name="__main__")
 
 
 class Build(build_ext):
@@ -43,4 +59,5 @@ def library(name: str) -> Extension:
     )
 
 
+print_physics()
 setup(ext_modules=[library(name) for name in SETS], cmdclass={"build_ext": Build, "bdist_wheel": AnyPython})

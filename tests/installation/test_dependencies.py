@@ -58,7 +58,7 @@ def test_every_module_imports_only_core_dependencies_at_its_top() -> None:
         if not core & distributions.get(name, set())
     }
     assert strangers == {
-        "dynamics/kernels/generate.py: sympy",  # which only who changes the physics runs
+        "dynamics/kernels/generate.py: sympy",  # which only the installation runs
         "dynamics/kernels/tape.py: sympy",
     }
 

@@ -13,6 +13,10 @@ HORIZON_STEPS: Final = 250
 HISTORY_STEPS: Final = 10
 """Rows before t that initialise the LSTM (tau = 0.2 s)."""
 
+FADE: Final = 10.0
+"""Corrections of a network are divided by 1 + FADE d^2 at the distance d of the inputs from their ranges, in standard
+deviations."""
+
 STATE: Final = ("px", "py", "yaw", "vx", "vy", "yaw_rate")
 """[m, m, rad, m/s, m/s, rad/s]; vx, vy are the horizontal world velocity turned by minus yaw."""
 

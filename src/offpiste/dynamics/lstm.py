@@ -7,11 +7,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from offpiste.core.conventions import FADE
+
 RANGE: Final = (0.005, 0.995)
 """Quantiles of the training inputs that bound the range of an input."""
-
-FADE: Final = 10.0
-"""Outputs are divided by 1 + FADE d^2 at the distance d of the inputs from their ranges, in standard deviations."""
 
 UNLIMITED: Final = 1e9
 """Bound of an input without a range; finite, because the weights of a run are checked for infinities."""

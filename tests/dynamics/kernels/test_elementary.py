@@ -58,5 +58,5 @@ def test_errors_are_small_and_nan_and_large_arguments_are_handled(width, dtype, 
 
 def test_generated_code_is_current():
     for path, text in generate.files().items():
-        assert path.read_text() == text, "run `python -m offpiste.dynamics.kernels.generate`"
+        assert path.read_text() == text, "install offpiste again"
     assert source_text("costs.h") == shipped_terms_text(), "run `python -m offpiste.planning.costs.text`"

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
+from offpiste.core.conventions import FADE
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.networks import (
@@ -17,7 +18,6 @@ from offpiste.dynamics.kernels.networks import (
     learned_constants,
     model_networks,
 )
-from offpiste.dynamics.lstm import FADE
 
 LANE = 4
 """Numbers in 16 bytes: rows of matrices are multiples of it."""

@@ -1,6 +1,7 @@
 """Prints the scalar physics, forward and adjoint, as the C that the library and the header for GPUs share.
 
-Run `python -m offpiste.dynamics.kernels.generate` after a change of the physics or of `offpiste.core.channels`.
+`setup.py` runs this file before anything but SymPy is installed, so that it imports nothing else, and again after a
+change of the physics or of `offpiste.core.channels`.
 
 The physics is called with SymPy's symbols. The elementary functions that it calls are recorded, each result as a new
 symbol (`tape`); what lies between them is algebra, which SymPy differentiates and shares.
@@ -12,18 +13,17 @@ from typing import Final, NamedTuple
 
 import sympy as sp
 
-from offpiste.core.conventions import STATE
+from offpiste.core.conventions import FADE, STATE
 from offpiste.dynamics.bicycle import Elementary
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.scalar_step import Values, actuate, advance, cell, sense
 from offpiste.dynamics.kernels.tape import Definitions, Tape, share
-from offpiste.dynamics.lstm import FADE
 
 HEADERS: Final = Path(__file__).parents[1] / "header"
 LAYOUT: Final = Path(__file__).parents[2] / "native" / "cpp" / "layout.h"
 
 TOP: Final = """\
-/* {about} Written by `python -m offpiste.dynamics.kernels.generate`; do not edit.
+/* {about} Printed by dynamics/kernels/generate.py; do not edit.
    {rows} */
 """
 FORWARD_ROWS: Final = "w: rows of one sample's workspace, c: constants. Rows that are computed are overwritten."
