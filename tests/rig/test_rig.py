@@ -7,7 +7,7 @@ from factories import RIG, small_rig
 from offpiste.core.errors import RigError
 from offpiste.rig.channels import unit_factor
 from offpiste.rig.outputs import Timeouts
-from offpiste.rig.rig import load_rig, parse_rig, preset_names
+from offpiste.rig.rig import VARIANTS, load_rig, parse_rig, preset_names, rig_text
 from offpiste.rig.sensors import Mounting
 from offpiste.runtime.settings import RuntimeSettings
 
@@ -168,9 +168,11 @@ def test_a_rig_that_does_not_exist_is_an_error_that_lists_the_presets(tmp_path):
 @pytest.mark.parametrize("name", preset_names())
 def test_presets_load_and_describe_a_vehicle(name):
     rig = load_rig(name)
-    assert rig.name
+    assert rig.name == name
     assert 0.05 < rig.vehicle.wheelbase < 10
     assert rig.wheel_positions().shape == (4, 2)
+    variant = VARIANTS.get(name, {"of": name, "changes": ()})
+    assert all(rig_text(variant["of"]).count(old) == 1 for old, _ in variant["changes"])
 
 
 def test_a_rig_file_loads_with_its_defaults_and_with_paths_beside_it(tmp_path):

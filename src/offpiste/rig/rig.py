@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from offpiste.core.channels import Actuator, Control, actuator_columns, all_actuators, control_columns
 from offpiste.core.errors import RigError, did_you_mean
-from offpiste.core.limits import parsed, read_small
+from offpiste.core.limits import packaged_table, parsed, read_small
 from offpiste.core.registry import load_extensions
 from offpiste.rig.channels import Alignment, ChannelSource, Clock, check_channels
 from offpiste.rig.outputs import Live, Output, check_outputs
@@ -22,7 +22,8 @@ from offpiste.rig.sensors import CameraSource, Frames, LidarSource, check_sensor
 
 GUESSED: Final = "GUESSED"
 """Prefix of `Vehicle.source` in a drafted rig."""
-
+VARIANTS: Final = packaged_table("offpiste.rig", "variants.toml")
+"""Presets that are the text of another one with a few changes."""
 
 _Metres = Annotated[float, Meta(gt=-100.0, lt=100.0)]
 Wheel = tuple[_Metres, _Metres]
@@ -163,7 +164,11 @@ def load_rig(name: str | Path) -> Rig:
 def rig_text(name: str | Path) -> str:
     """Return the TOML text of a preset or of a rig file."""
     if _is_preset(name):
-        return (resources.files("offpiste.rig") / "presets" / f"{name}.toml").read_text("utf-8")
+        variant = VARIANTS.get(str(name), {"of": name, "changes": ()})
+        text = (resources.files("offpiste.rig") / "presets" / f"{variant['of']}.toml").read_text("utf-8")
+        for old, new in variant["changes"]:
+            text = text.replace(old, new)
+        return text
     try:
         return read_small(Path(name))
     except (OSError, UnicodeDecodeError) as error:
@@ -192,7 +197,8 @@ def parse_rig(text: str, *, where: str) -> Rig:
 def preset_names() -> list[str]:
     """Return the names of the rigs that ship with the package."""
     folder = resources.files("offpiste.rig") / "presets"
-    return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
+    files = (file.name.removesuffix(".toml") for file in folder.iterdir() if file.name.endswith(".toml"))
+    return sorted((*files, *VARIANTS))
 
 
 def check_rig(rig: Rig) -> None:
