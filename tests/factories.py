@@ -203,6 +203,18 @@ class MemoryLog(Log):
         return Samples(time, np.column_stack([columns[field] for field in fields]))
 
 
+def small_log(time: np.ndarray, **columns: np.ndarray) -> MemoryLog:
+    """A log for `small_rig` at these stamps: at rest in the origin, without commands, but for the given columns."""
+    topics = {
+        "odometry": ("x", "y", "z", "qx", "qy", "qz", "qw"),
+        "pedals": ("throttle", "brake"),
+        "steering": ("steer",),
+    }
+    columns = {"qw": np.ones(len(time))} | columns
+    named = {topic: {name: columns.get(name, 0 * time) for name in names} for topic, names in topics.items()}
+    return MemoryLog(**{topic: (time, values) for topic, values in named.items()})
+
+
 def circle_rows(rows: int, *, speed: float = 5.0, yaw_rate: float = 0.5, seed: int = 0) -> Rows:
     """A drive round a circle, with random commands and no recorded actuators."""
     rng = np.random.default_rng(seed)

@@ -2,13 +2,12 @@
 
 from itertools import combinations
 
-import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from factories import RIG, MemoryLog, small_rig
-from offpiste.core.errors import LogError, RigError
+from factories import MemoryLog, small_rig
+from offpiste.core.errors import LogError, OffpisteError
 from offpiste.logs.channel import (
     Channel,
     between_samples,
@@ -22,18 +21,20 @@ from offpiste.logs.channel import (
 )
 from offpiste.logs.drive import common_span
 from offpiste.rig.channels import ChannelSource, Wrap
-from offpiste.rig.rig import parse_rig
+
+SMALL = small_rig()
 
 
 def channel(time, values) -> Channel:
     return Channel("throttle", "1", np.asarray(time, float), np.asarray(values, float).reshape(len(time), -1))
 
 
-def read(time, values, **source):
-    log = MemoryLog(pedals=(np.asarray(time, float), {"x": np.asarray(values, float)}))
-    channel, _, notes = read_channel(
-        log, small_rig(), "throttle", ChannelSource(fields=("x",), topic="pedals", **source)
-    )
+def read(time, numbers, name="throttle", rig=SMALL, **source):
+    """Read a channel, with notes, from columns of numbers."""
+    columns = np.asarray(numbers, float).reshape(len(time), -1)
+    fields = tuple("xyzw"[: columns.shape[1]])
+    log = MemoryLog(topic=(np.asarray(time, float), dict(zip(fields, columns.T, strict=True))))
+    channel, _, notes = read_channel(log, rig, name, ChannelSource(fields=fields, topic="topic", **source))
     return channel, notes
 
 
@@ -72,13 +73,12 @@ def test_outside_the_record_and_in_gaps_nothing_is_known(how):
 def test_values_are_unwrapped_scaled_shifted_signed_and_converted_in_this_order():
     source = ChannelSource(fields=("x",), unit="deg", scale=2.0, offset=10.0, sign=-1, wrap=Wrap(above=100, period=256))
     raw = np.array([[45.0], [246.0]])  # the second is -10
-    np.testing.assert_allclose(
-        convert("steer_angle", source, raw, small_rig().vehicle)[:, 0], np.deg2rad([-100.0, 10.0])
-    )
+    angle = convert("steer_angle", source, raw, SMALL.vehicle)[:, 0]
+    np.testing.assert_allclose(angle, np.deg2rad([-100.0, 10.0]))
 
 
 def test_a_steering_command_that_is_a_turn_rate_is_the_angle_of_a_bicycle_that_turns_so():
-    vehicle = small_rig().vehicle
+    vehicle = SMALL.vehicle
     source = ChannelSource(("turn", "speed"), unit="deg/s", scale=2.0, sign=-1)
     speed = np.array([2.0, 4.0, -2.0, 0.0, 0.0, 1.0])
     turn = np.array([0.3, -0.4, 0.3, 0.5, 0.0, np.nan])
@@ -90,9 +90,7 @@ def test_a_steering_command_that_is_a_turn_rate_is_the_angle_of_a_bicycle_that_t
     assert angle[2] < 0, "backwards, the wheels point to the other side"
     np.testing.assert_allclose(angle[3:5], (1.48, 0.0), atol=0.01, err_msg="on the spot, and at a standstill")
     assert np.isnan(angle[5])
-    log = MemoryLog(cmd=(np.arange(6.0), {"turn": raw[:, 0], "speed": raw[:, 1]}))
-    clipped = msgspec.structs.replace(source, topic="cmd", clip=(-1.0, 1.0))
-    read_back, _, notes = read_channel(log, small_rig(), "steer", clipped)
+    read_back, notes = read(np.arange(6), raw, "steer", unit="deg/s", scale=2.0, sign=-1, clip=(-1.0, 1.0))
     np.testing.assert_allclose(read_back.values, np.clip(steer[:5], -1, 1))
     assert ["1 of 6 samples are not finite" in note for note in notes] == [True]
 
@@ -101,18 +99,13 @@ def test_the_size_of_a_commanded_speed_is_clipped_last():
     source = ChannelSource(("speed",), scale=0.5, clip=(0.0, 1.0), absolute=True)
     found, _ = read([0.0, 1.0, 2.0, 3.0], [-1.0, 0.5, -4.0, 1.0], scale=0.5, clip=(0.0, 1.0), absolute=True)
     np.testing.assert_array_equal(found.values[:, 0], [0.5, 0.25, 1.0, 0.5])
-    np.testing.assert_array_equal(convert("throttle", source, np.array([[-1.0]]), small_rig().vehicle), [[0.5]])
+    np.testing.assert_array_equal(convert("throttle", source, np.array([[-1.0]]), SMALL.vehicle), [[0.5]])
 
 
 def test_a_steering_command_that_is_an_angle_is_over_the_largest_one():
     source = ChannelSource(fields=("angle",), unit="deg")
-    steer = convert("steer", source, np.array([[-10.0], [5.0]]), small_rig().vehicle)
-    np.testing.assert_allclose(steer * small_rig().vehicle.max_steer, np.deg2rad([[-10.0], [5.0]]))
-
-
-def geared(recorded, **source):
-    log = MemoryLog(box=(np.arange(len(recorded), dtype=float), {"x": np.asarray(recorded, float)}))
-    return read_channel(log, small_rig(), "gear", ChannelSource(fields=("x",), topic="box", **source))[0].values[:, 0]
+    steer = convert("steer", source, np.array([[-10.0], [5.0]]), SMALL.vehicle)
+    np.testing.assert_allclose(steer * SMALL.vehicle.max_steer, np.deg2rad([[-10.0], [5.0]]))
 
 
 @pytest.mark.parametrize(
@@ -126,12 +119,8 @@ def geared(recorded, **source):
     ],
 )
 def test_of_a_gears_number_the_sign_counts_and_values_stand_for_others(recorded, source, gears):
-    assert geared(recorded, **source).tolist() == gears
-
-
-def test_a_recorded_value_that_stands_for_nothing_is_refused():
-    with pytest.raises(RigError, match=r"gear.values lacks 4, which topic 'box' has 2 times.*\"3\" = 1"):
-        geared([3, 4, 4], values={"3": 1.0})
+    found, _ = read(range(len(recorded)), recorded, "gear", **source)
+    assert found.values[:, 0].tolist() == gears
 
 
 @pytest.mark.parametrize(
@@ -148,6 +137,8 @@ def test_a_recorded_value_that_stands_for_nothing_is_refused():
         ([0, np.nan, 2, np.inf, 4], [1, 2, 3, 4, 5], {}, [0, 2, 4], "2 of 5"),
         ([0, 1, 1, 2, 1.5, 3, 4, 5], np.arange(8), {}, [0, 1, 2, 3, 4, 5], "2 of 8 stamps repeat or go back"),
         (np.repeat(np.arange(10.0), 3), np.repeat(np.arange(10), 3), {}, range(10), "20 of 30 stamps repeat"),
+        (range(3), [(9.9e6, 0), (9.9e6, 0), (2e7, 0)], {"name": "position"}, [0, 1], "1 of 3"),  # northings are kept
+        (range(4), [(0, 0, 0, 1), (0, 0, 0, 0), (0, 0, 1, 0), (0, 0, 2, 0)], {"name": "orientation"}, [0, 2], "2 of 4"),
     ],
 )
 def test_faulty_samples_are_dropped_and_noted(time, values, source, kept, said):
@@ -167,37 +158,20 @@ def test_rows_that_a_slower_sensor_leaves_empty_are_left_out_without_a_word():
     assert "1 of 50 samples" in notes[0]
 
 
-def test_a_broken_clock_is_an_error():
-    with pytest.raises(LogError, match=r"stamps repeat or go back.*clock"):
-        read(np.zeros(10), np.arange(10))
-
-
-def test_a_channel_without_usable_samples_is_an_error_that_names_it():
-    with pytest.raises(RigError, match=r"'throttle'.*'pedals'.*no usable samples"):
-        read([0, 1], [np.nan, np.nan])
-
-
-def test_an_origin_far_from_all_places_is_an_error_that_says_how_far():
-    text = RIG.replace("[channels.orientation]", 'unit = "lat lon"\norigin = [11.0, 48.0]\n[channels.orientation]', 1)
-    rig, zero = parse_rig(text, where="test"), np.zeros(4)
-    log = MemoryLog(odometry=(np.arange(4.0), {"x": zero + 48.0, "y": zero + 11.0, "z": zero}))
-    with pytest.raises(RigError, match=r"position\.origin lies \d+ km from the places of .*; .*in this order"):
-        read_channel(log, rig, "position", rig.channels["position"])
-
-
-def test_orientations_that_are_no_rotation_are_dropped():
-    q = np.array([[0, 0, 0, 1.0], [0, 0, 0, 0], [0, 0, 1.0, 0], [0, 0, 2.0, 0]])
-    log = MemoryLog(odometry=(np.arange(4.0), dict(zip(("qx", "qy", "qz", "qw"), q.T, strict=True))))
-    rig = small_rig()
-    found, _, notes = read_channel(log, rig, "orientation", rig.channels["orientation"])
-    assert found.time.tolist() == [0, 2]
-    assert "2 of 4" in notes[0]
-
-
-def test_positions_farther_than_any_coordinate_are_dropped_and_northings_are_kept():
-    log = MemoryLog(odometry=(np.arange(3.0), {"x": np.array([9.9e6, 9.9e6, 2e7]), "y": np.zeros(3)}))
-    found, _, _ = read_channel(log, small_rig(), "position", ChannelSource(fields=("x", "y", "y"), topic="odometry"))
-    assert found.time.tolist() == [0.0, 1.0]
+@pytest.mark.parametrize(
+    ("time", "values", "source", "message"),
+    [
+        (np.zeros(10), range(10), {}, r"stamps repeat or go back.*clock"),
+        ([0, 1], [np.nan, np.nan], {}, r"'throttle'.*'topic'.*no usable samples"),
+        (range(4), 4 * [(48.0, 11.0, 0.0)], {"name": "position", "unit": "lat lon", "origin": (11.0, 48.0)},
+         r"position\.origin lies \d+ km from the places of .*; .*in this order"),
+        (range(3), [3, 4, 4], {"name": "gear", "values": {"3": 1.0}},
+         r"gear.values lacks 4, which topic 'topic' has 2 times.*\"3\" = 1"),
+    ],
+)  # fmt: skip
+def test_unusable_samples_are_an_error_that_names_the_channel(time, values, source, message):
+    with pytest.raises(OffpisteError, match=message):
+        read(time, values, **source)
 
 
 def test_a_grid_of_time_is_no_longer_than_a_day():
@@ -209,13 +183,9 @@ def test_a_grid_of_time_is_no_longer_than_a_day():
 
 
 def test_samples_out_of_order_are_sorted_where_the_rig_says_so():
-    log = MemoryLog(odom=(np.array([0.0, 0.3, 0.1, 0.2, 0.4]), {"v": np.array([0.0, 3.0, 1.0, 2.0, 4.0])}))
-    source = ChannelSource(fields=("v",), topic="odom")
-    rig = small_rig()
-    kept, _, _ = read_channel(log, rig, "yaw_rate", source)
-    assert len(kept.time) < 5
-    sorted_clock = msgspec.structs.replace(rig, clock=msgspec.structs.replace(rig.clock, sort=True))
-    ordered, _, notes = read_channel(log, sorted_clock, "yaw_rate", source)
+    shuffled = [0.0, 0.3, 0.1, 0.2, 0.4], [0.0, 3.0, 1.0, 2.0, 4.0], "yaw_rate"
+    assert len(read(*shuffled)[0].time) < 5
+    ordered, notes = read(*shuffled, rig=small_rig("[clock]\nsort = true\n"))
     np.testing.assert_allclose(ordered.values[:, 0], 10 * ordered.time)
     assert len(ordered.time) == 5
     assert notes == []
@@ -224,7 +194,7 @@ def test_samples_out_of_order_are_sorted_where_the_rig_says_so():
 def test_an_orientation_is_turned_about_the_bodys_z_axis():
     quaternion = Rotation.random(10, random_state=0).as_quat()
     source = ChannelSource(fields=("x", "y", "z", "w"), offset=0.7)
-    turned = Rotation.from_quat(convert("orientation", source, quaternion, small_rig().vehicle)).as_matrix()
+    turned = Rotation.from_quat(convert("orientation", source, quaternion, SMALL.vehicle)).as_matrix()
     expected = Rotation.from_quat(quaternion).as_matrix() @ Rotation.from_euler("z", 0.7).as_matrix()
     np.testing.assert_allclose(turned, expected, atol=1e-12)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from factories import MemoryLog, small_rig
+from factories import small_log, small_rig
 from offpiste.core.errors import LogError
 from offpiste.logs.channel import Channel
 from offpiste.logs.clock_drift import ClockLag, clock_difference, estimate_lag, pose_speed
@@ -69,15 +69,9 @@ def test_speed_by_the_pose_is_the_length_of_the_velocity_or_its_derivative():
 
 
 def test_only_the_topics_of_the_drifting_clock_are_moved():
-    along = np.cumsum(SPEED) * 0.05
-    zero, ones, lag = 0 * TIME, np.ones(len(TIME)), 0.5
-    place = {"x": along, "y": zero, "z": zero, "qx": zero, "qy": zero, "qz": zero, "qw": ones}
-    log = MemoryLog(
-        odometry=(TIME, place),
-        pedals=(TIME + lag, {"throttle": zero, "brake": zero}),
-        steering=(TIME, {"steer": zero}),
-        wheels=(TIME + lag, {"left": SPEED - 0.1, "right": SPEED + 0.1}),
-    )
+    log, lag = small_log(TIME, x=np.cumsum(SPEED) * 0.05), 0.5
+    log.data["pedals"] = (TIME + lag, log.data["pedals"][1])
+    log.data["wheels"] = (TIME + lag, {"left": SPEED - 0.1, "right": SPEED + 0.1})
     drive = drive_from_log(log, small_rig(ALIGNMENT))
     np.testing.assert_array_equal(drive.channels["steer"].time, TIME)
     assert np.abs(drive.channels["throttle"].time - TIME)[40:-40].max() < 0.06

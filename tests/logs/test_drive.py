@@ -3,21 +3,12 @@
 import numpy as np
 import pytest
 
-from factories import MemoryLog, small_rig
+from factories import small_log, small_rig
 from offpiste.core.errors import LogError
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import common_span, drive_from_log
 
-
-def small_log(count: int = 100) -> MemoryLog:
-    time = 0.02 * np.arange(count)
-    nothing, ones = np.zeros(count), np.ones(count)
-    place = {"x": time, "y": nothing, "z": nothing, "qx": nothing, "qy": nothing, "qz": nothing, "qw": ones}
-    return MemoryLog(
-        odometry=(time, place),
-        pedals=(time, {"throttle": nothing.copy(), "brake": nothing.copy()}),
-        steering=(time, {"steer": nothing.copy()}),
-    )
+TIME = 0.02 * np.arange(100)
 
 
 def named(name: str, first: float, last: float) -> Channel:
@@ -25,11 +16,7 @@ def named(name: str, first: float, last: float) -> Channel:
 
 
 def test_a_drive_has_the_rigs_channels_in_si_units():
-    log = small_log()
-    log.data["steering"][1]["steer"][:] = 50.0
-    rig = small_rig().channels["steer"]
-    drive = drive_from_log(log, small_rig('unit = "percent"'))
-    assert rig.unit == ""
+    drive = drive_from_log(small_log(TIME, steer=np.full(100, 50.0)), small_rig('unit = "percent"'))
     assert set(drive.channels) == {"position", "orientation", "throttle", "brake", "steer"}
     np.testing.assert_allclose(drive.channels["steer"].values, 0.5)
     assert drive.channels["position"].unit == "m"
@@ -37,15 +24,15 @@ def test_a_drive_has_the_rigs_channels_in_si_units():
 
 
 def test_what_was_dropped_is_noted_and_so_are_the_logs_warnings():
-    log = small_log()
-    log.data["pedals"][1]["brake"][3] = np.nan
+    log = small_log(TIME, brake=np.where(TIME == 0.06, np.nan, 0.0))
     log.warnings = ("the log is cut short",)
-    assert drive_from_log(log, small_rig()).notes[0] == "the log is cut short"
-    assert "brake: 1 of 100" in drive_from_log(log, small_rig()).notes[1]
+    cut, dropped = drive_from_log(log, small_rig()).notes
+    assert cut == "the log is cut short"
+    assert "brake: 1 of 100" in dropped
 
 
 def test_a_topic_that_the_log_lacks_is_named():
-    log = small_log()
+    log = small_log(TIME)
     del log.data["steering"]
     with pytest.raises(LogError, match="no topic 'steering'"):
         drive_from_log(log, small_rig())

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 
+from bag_files import mcap_file, twists
 from offpiste.core.errors import LogError
 from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.formats.table import TableLog
@@ -21,15 +21,8 @@ def logs(tmp_path: Path) -> dict[str, Path]:
     np.save(odometry / "odometry.npy", np.array([[1.0, 2.0]]))
     (odometry / "timestamps.txt").write_text("5.0\n")
     (tmp_path / "table.csv").write_text("tick,x\n2000,7\n")
-    bag = tmp_path / "bag" / "bag_0.mcap"
-    bag.parent.mkdir()
-    with bag.open("wb") as file:
-        writer = Writer(file)
-        writer.start(profile="ros2")
-        schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data\n")
-        channel = writer.register_channel("/speed", "cdr", schema)
-        writer.add_message(channel, 10**9, b"\x00\x01\x00\x00" + np.float64(3.5).tobytes(), 10**9)
-        writer.finish()
+    (tmp_path / "bag").mkdir()
+    bag = mcap_file(tmp_path / "bag" / "bag_0.mcap", twists(1))
     return {"tartan": tmp_path / "tartan", "table": tmp_path / "table.csv", "bag": bag.parent, "mcap": bag}
 
 
@@ -51,14 +44,12 @@ def test_links_and_dots_in_a_path_are_harmless(logs: dict[str, Path], tmp_path: 
     link = tmp_path / f"link{path.suffix}"
     link.symlink_to(path)
     around = path.parent / ".." / path.parent.name / path.name
-    plain = open_log(path, clock=Clock(column="tick") if name == "table" else None)
-    for other in (link, around):
-        log = open_log(other, clock=Clock(column="tick") if name == "table" else None)
+    plain, *others = (open_log(each, clock=Clock(column="tick")) for each in (path, link, around))
+    (topic,) = plain.topics.values()
+    for log in others:
         assert log.topics == plain.topics
-        (topic,) = log.topics.values()
-        np.testing.assert_array_equal(
-            log.read(topic.name, topic.fields).values, plain.read(topic.name, topic.fields).values
-        )
+        one, other = (each.read(topic.name, topic.fields).values for each in (log, plain))
+        np.testing.assert_array_equal(one, other)
 
 
 def test_a_folder_of_another_format_may_hold_a_bag(logs: dict[str, Path]) -> None:

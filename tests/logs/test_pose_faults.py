@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from factories import MemoryLog, small_rig
+from factories import small_log, small_rig
 from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.window_starts import window_starts
 from offpiste.inspection.pose_samples import check_faults
@@ -19,15 +19,10 @@ from offpiste.rig.rig import load_rig
 TIME = np.arange(0, 40, 0.02)
 
 
-def log_of(x: np.ndarray, yaw: np.ndarray | None = None, **axes: np.ndarray) -> MemoryLog:
-    zero, yaw = 0 * TIME, 0 * TIME if yaw is None else yaw
-    pose = {"x": x, "y": zero, "z": zero, "qx": zero, "qy": zero, "qz": np.sin(yaw / 2), "qw": np.cos(yaw / 2)} | axes
-    pedals = {"throttle": zero, "brake": zero}
-    return MemoryLog(odometry=(TIME, pose), pedals=(TIME, pedals), steering=(TIME, {"steer": zero}))
-
-
-def drive_of(x: np.ndarray, yaw: np.ndarray | None = None, **axes: np.ndarray) -> Drive:
-    return drive_from_log(log_of(x, yaw, **axes), small_rig())
+def drive_of(x: np.ndarray, yaw: np.ndarray = 0 * TIME, sign: np.ndarray = 1 + 0 * TIME, **axes: np.ndarray) -> Drive:
+    """Return a drive along x; `sign` is that of its quaternions."""
+    log = small_log(TIME, x=x, qz=sign * np.sin(yaw / 2), qw=sign * np.cos(yaw / 2), **axes)
+    return drive_from_log(log, small_rig())
 
 
 def after(step: float, at: int = 900) -> np.ndarray:
@@ -47,35 +42,28 @@ def test_a_run_is_dropped_and_named_by_its_samples_and_times() -> None:
     assert (run.first, run.last, run.after, run.until) == (1200, 1285, TIME[1199], TIME[1286])
 
 
-def test_a_place_that_hangs_is_dropped_until_it_goes_on() -> None:
+@pytest.mark.parametrize(
+    ("end", "noted", "found"),
+    [
+        (1500, "(20.02 to 29.98 s) hold one place, 50 m", "10.0 s from 20.02 s on"),
+        (2000, "(20.02 to 39.98 s) hold one place to the end,", "20.0 s from 20.02 s on, to the end of the log"),
+    ],
+)
+def test_a_held_position_is_dropped_until_it_changes(end: int, noted: str, found: str) -> None:
     x = 5 * TIME
-    x[1000:1500] = x[1000]
+    x[1000:end] = x[1000]
     drive = drive_of(x)
-    assert drive.notes == (
-        "position: samples 1001 to 1499 (20.02 to 29.98 s) hold one place, 50 m off the path of any vehicle; dropped",
-    )
+    assert drive.notes == (f"position: samples 1001 to {end - 1} {noted} off the path of any vehicle; dropped",)
     (run,) = drive.faults.dropped
-    assert run.held
-    assert (run.first, run.last, run.after, run.until) == (1001, 1499, TIME[1000], TIME[1500])
+    assert (run.held, run.after, run.until) == (True, TIME[1000], TIME[end] if end < len(TIME) else np.inf)
     assert drive.faults.jumps == ()
     rows = extract_rows(drive)
-    inside = (rows.time > 20.1) & (rows.time < 29.9)
-    assert inside.any()
+    inside = (rows.time > 20.1) & (rows.time < TIME[end - 1] - 0.08)
+    assert inside.any() == (end < len(TIME)), "rows end with the last known position"
     assert not rows.valid[inside].any()
-
-
-def test_a_place_that_hangs_to_the_end_is_dropped() -> None:
-    x = 5 * TIME
-    x[1000:] = x[1000]
-    drive = drive_of(x)
-    end = len(TIME) - 1
-    (note,) = drive.notes
-    said = f"position: samples 1001 to {end} (20.02 to {TIME[end]:.2f} s) hold one place to the end"
-    assert note == f"{said}, off the path of any vehicle; dropped"
-    assert not extract_rows(drive).valid[extract_rows(drive).time > 20.1].any()
     (finding,) = check_faults(drive)
     assert finding.what == "holds one place while the vehicle drives on"
-    assert finding.evidence == f"once, such as for {TIME[end] - 20.0:.1f} s from 20.02 s on, to the end of the log"
+    assert found in finding.evidence
 
 
 def test_numbers_are_those_of_the_log_where_other_samples_were_dropped() -> None:
@@ -96,12 +84,9 @@ def test_many_runs_are_counted_and_headings_are_in_radians() -> None:
 
 def test_quaternions_of_either_sign_are_never_interpolated_through_zero() -> None:
     yaw = 0.8 * TIME
-    plain, log = drive_of(5 * TIME, yaw), log_of(5 * TIME, yaw)
-    _, pose = log.data["odometry"]
-    flip = np.where(np.random.default_rng(0).random(len(TIME)) < 0.3, -1, 1)
+    plain = drive_of(5 * TIME, yaw)
     yaw[700:1500:200] += 2.5  # corrupt: dropped, and no sample after one of them takes its sign
-    pose["qz"], pose["qw"] = flip * np.sin(yaw / 2), flip * np.cos(yaw / 2)
-    drive = drive_from_log(log, small_rig())
+    drive = drive_of(5 * TIME, yaw, np.where(np.random.default_rng(0).random(len(TIME)) < 0.3, -1, 1))
     between = TIME[:-1] + 0.01
     values = drive.channels["orientation"].linear(between, max_gap=0.5)
     np.testing.assert_allclose(values, plain.channels["orientation"].linear(between, max_gap=0.5), atol=1e-4)

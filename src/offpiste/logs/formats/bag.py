@@ -125,7 +125,7 @@ class BagLog(Log):
         columns = self._columns(result)
         if columns is not None:
             return np.concatenate([one.seconds(stamps) for one in columns])
-        heads = self._messages(result.name, result.type, lambda *given: stamp_reader(*given) or whole_messages(*given))
+        heads = self._messages(result.name, result.type, stamp_reader)
         return np.array([stamp_of(received, head, stamps) for received, head in heads])
 
     def _describe(self, name: str, notes: list[str]) -> Topic:

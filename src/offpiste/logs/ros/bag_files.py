@@ -104,11 +104,11 @@ def whole_messages(connection: Connection, path: Path) -> Callable[[bytes], obje
     return decode
 
 
-def stamp_reader(connection: Connection, path: Path) -> Callable[[bytes], int] | None:
-    """Return a function that reads the stamp of a message's header alone [ns]; None for messages without a header."""
+def stamp_reader(connection: Connection, path: Path) -> Callable[[bytes], object]:
+    """Return a function that reads only the stamp of a message's header [ns], or messages without header as a whole."""
     fields = typestore_of(connection, path).get_msgdef(connection.msgtype).fields
     if not fields or fields[0][1] != (Nodetype.NAME, "std_msgs/msg/Header"):
-        return None
+        return whole_messages(connection, path)
     is_ros1 = _encoding(connection) == "ros1"
 
     def read(raw: bytes) -> int:
