@@ -1,5 +1,7 @@
 """Planar motion on known paths: circles, slopes, lever arms and frames."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -74,25 +76,18 @@ def test_the_causal_estimate_uses_the_past_only(velocity, gyro, row):
     drive = circle.drive(velocity, gyro)
     at = circle.time[row : row + 1] + 0.004
 
-    def changed(channel: Channel, offset: float) -> Channel:
-        # Orientation and the others are stamped apart, as they are in logs.
-        time = channel.time + offset
-        values = np.where((time > at)[:, None], np.roll(channel.values, 7, axis=0), channel.values)
-        return Channel(channel.name, "", time, values)
+    def changed(channel: Channel) -> Channel:
+        values = np.where((channel.time > at)[:, None], np.roll(channel.values, 7, axis=0), channel.values)
+        return replace(channel, values=values)
 
+    # Orientation and the others are stamped apart, as they are in logs.
+    orientation = drive.channels["orientation"]
+    apart = drive.channels | {"orientation": replace(orientation, time=orientation.time + 0.007)}
     ours, others = (
-        Drive("", drive.rig, {n: c if i == 0 else changed(c, 0.0) for n, c in shifted(drive).items()}) for i in (0, 1)
+        Drive("", drive.rig, channels) for channels in (apart, {name: changed(each) for name, each in apart.items()})
     )
     np.testing.assert_array_equal(estimate_motion(ours, at).state_causal, estimate_motion(others, at).state_causal)
     assert not np.array_equal(estimate_motion(ours, at).state, estimate_motion(others, at).state)
-
-
-def shifted(drive: Drive) -> dict[str, Channel]:
-    """Return the channels with the attitude stamped 7 ms later."""
-    return {
-        name: Channel(name, "", c.time + (0.007 if name == "orientation" else 0.0), c.values)
-        for name, c in drive.channels.items()
-    }
 
 
 def test_the_causal_estimate_follows_a_changing_speed_within_a_few_hundredths_of_a_second():

@@ -100,21 +100,6 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         write(tmp_path / "drive.mcap", 200)
 
 
-def test_an_exception_leaves_a_finished_file_and_goes_on(tmp_path: Path) -> None:
-    path = tmp_path / "drive.mcap"
-
-    def interrupted() -> None:
-        with McapWriter(path) as writer:
-            for i in range(77):
-                writer.write("/brake", speed(i), at(i))
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert pressures(path) == list(range(77))
-    assert open_log(path).warnings == ()
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_a_file_cut_anywhere_gives_its_first_messages(tmp_path: Path, seed: int) -> None:
     whole = write(tmp_path / "whole.mcap", 400).read_bytes()
