@@ -112,11 +112,18 @@ def test_a_clock_without_a_name_rises_evenly_and_a_count_of_rows_is_none(tmp_pat
         table(tmp_path, "row,steer\n" + "".join(f"{k},{k * k % 7}\n" for k in range(50)))
 
 
-def test_clock_column_and_unit(tmp_path: Path) -> None:
-    text = "t,count,x\n5,1500,1\n6,2500,2\n"
-    assert table(tmp_path, text, column="count", unit="ms").read("", ["x"]).time.tolist() == [1.5, 2.5]
-    with pytest.raises(LogError, match="no column 'stamp' for the clock; it has: t, count, x"):
-        table(tmp_path, text, column="stamp")
+@pytest.mark.parametrize(
+    ("text", "column", "unit", "stamps", "listed"),
+    [
+        ("t,count,x\n5,1500,1\n6,2500,2\n", "count", "ms", [1.5, 2.5], "t, count, x"),
+        # A rig may name a header with its comment sign.
+        ("#timestamp [ns],x\n1000000000,1\n2000000000,2\n", "#timestamp [ns]", "", [1, 2], r"timestamp \[ns\], x"),
+    ],
+)
+def test_clock_column_and_unit(tmp_path: Path, text: str, column: str, unit: str, stamps: list, listed: str) -> None:
+    assert table(tmp_path, text, column=column, unit=unit).read("", ["x"]).time.tolist() == stamps
+    with pytest.raises(LogError, match=f"no column '#stamp' for the clock; it has: {listed}"):
+        table(tmp_path, text, column="#stamp")
 
 
 @pytest.mark.parametrize(
@@ -151,14 +158,6 @@ def test_dates_and_times_of_the_day_as_stamps(tmp_path: Path, cells: tuple, seco
 def test_of_two_clocks_a_time_of_the_day_is_the_last_choice(tmp_path: Path) -> None:
     rows = "".join(f"10:11:{k:02d},{1714731060 + k},{k}\n" for k in range(12))
     assert table(tmp_path, f"time,timestamp,x\n{rows}").read("", ["x"]).time[0] == 1714731060.0
-
-
-def test_a_rig_may_still_name_a_clock_by_a_header_with_its_comment(tmp_path: Path) -> None:
-    text = "#timestamp [ns],x\n1000000000,1\n2000000000,2\n"
-    log = table(tmp_path, text, column="#timestamp [ns]", unit="")
-    assert (log.clock.column, log.read("", ["x"]).time.tolist()) == ("timestamp [ns]", [1.0, 2.0])
-    with pytest.raises(LogError, match=r"no column '#stamp' for the clock; it has: timestamp \[ns\], x"):
-        table(tmp_path, text, column="#stamp")
 
 
 def test_text_that_is_no_time_is_named(tmp_path: Path) -> None:
