@@ -79,6 +79,12 @@ def transforms(*joints, seconds: float = 0.0):
     return make("tf2_msgs/TFMessage", transforms=stamped)
 
 
+def joints(seconds: float, positions, names=("a", "b")):
+    """Return a sensor_msgs/JointState of positions."""
+    values = {"position": floats(positions), "velocity": floats([]), "effort": floats([])}
+    return make("sensor_msgs/JointState", header=header(stamp(seconds), "base"), name=list(names), **values)
+
+
 def tree():
     """Return transforms to a mast with both sensors; the camera's is inverted."""
     return transforms(

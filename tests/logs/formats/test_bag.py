@@ -14,7 +14,8 @@ from rosbags.typesys.store import Typestore
 from bag_files import ROS2, SPEED, START, TWIST, custom, mcap_file, ros1_bag, ros2_folder, speeds, twist, twists
 from offpiste.core.errors import LogError
 from offpiste.logs.formats.bag import BagLog
-from offpiste.logs.ros.writer import McapWriter, header, make
+from sensor_bags import joints
+from sensor_drive import written
 
 # Real bags
 
@@ -222,13 +223,7 @@ def test_database_of_something_else(tmp_path: Path) -> None:
         BagLog(tmp_path / "a.db3")
 
 
-def test_a_recorded_topic_may_be_named_like_a_pair_of_frames(tmp_path):
-    empty = np.zeros(0)
-    with McapWriter(tmp_path / "drive.mcap") as writer:
-        for k in range(5):
-            values = {"name": ["wheel"], "position": np.array([0.1 * k]), "velocity": empty, "effort": empty}
-            stamp = k * 10**7
-            writer.write("/map odom -> base", make("sensor_msgs/JointState", header=header(stamp, ""), **values), stamp)
-    log = BagLog(tmp_path / "drive.mcap")
-    position = log.read("/map odom -> base", ("position[0]",)).values[:, 0]
-    np.testing.assert_allclose(position, [0.0, 0.1, 0.2, 0.3, 0.4])
+def test_a_recorded_topic_may_be_named_like_a_pair_of_frames(tmp_path: Path) -> None:
+    topic = "/map odom -> base"
+    log = BagLog(written(tmp_path / "drive.mcap", [(k, topic, joints(k, [0.1 * k], ["wheel"])) for k in range(5)]))
+    np.testing.assert_allclose(log.read(topic, ("position[0]",)).values[:, 0], [0.0, 0.1, 0.2, 0.3, 0.4])

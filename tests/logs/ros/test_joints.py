@@ -15,16 +15,12 @@ from offpiste.logs.channel import read_channel
 from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.log import open_log
 from offpiste.logs.ros.sensor_messages import Joints
-from offpiste.logs.ros.writer import McapWriter, floats, header, make
+from offpiste.logs.ros.writer import floats
 from offpiste.rig.rig import parse_rig
+from sensor_bags import joints
+from sensor_drive import written
 
 COLUMNS = ("x", "y", "yaw")
-
-
-def _joints(at: int, names: tuple[str, ...], values: list[float]) -> object:
-    empty = floats([])
-    return make("sensor_msgs/JointState", header=header(at, ""), name=list(names), position=floats(values),
-                velocity=empty, effort=empty)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -35,12 +31,11 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rate = 0.4 * np.sin(time / 2)
     yaw = np.cumsum(rate) * 0.05
     x, y = (np.cumsum(4 * f(yaw)) * 0.05 for f in (np.cos, np.sin))
-    with McapWriter(path) as writer:
-        for t, *pose, turn in zip(time, x, y, yaw, rate, strict=True):
-            at = int((100 + t) * 1e9)
-            writer.write("odometry", _joints(at, COLUMNS, [float(value) for value in pose]), at)
-            writer.write("command", _joints(at, ("throttle", "steer"), [0.3 + 0.1 * np.sin(t), float(turn)]), at)
-    return path
+    messages = []
+    for t, *pose, turn in zip(time, x, y, yaw, rate, strict=True):
+        messages.append((t, "odometry", joints(t, pose, COLUMNS)))
+        messages.append((t, "command", joints(t, [0.3 + 0.1 * np.sin(t), turn], ("throttle", "steer"))))
+    return written(path, messages)
 
 
 def test_a_first_rig_says_which_entry_is_what_and_reads_the_log(log: Path) -> None:
@@ -65,31 +60,26 @@ def test_names_that_are_given_twice_are_told_apart_by_their_order() -> None:
     assert joints.reader(["position[1]", "position[0]"])(message) == [2.0, 1.0]
 
 
-def _record(path: Path, messages: list[object], begin: float = 100.0) -> BagLog:
-    with McapWriter(path) as writer:
-        for k, message in enumerate(messages):
-            writer.write("joints", message, int((begin + k / 10) * 1e9))
-    return BagLog(path)
+def opened(path: Path, messages: list[tuple[float, list[float], tuple[str, ...]]]) -> BagLog:
+    """Record stamps [s], positions and names of joints."""
+    return BagLog(written(path, [(each[0], "joints", joints(*each)) for each in messages]))
 
 
 @pytest.mark.parametrize("names", [("steer", "boom"), ("boom1", "steer")])
 def test_an_order_that_changes_on_the_way_is_followed(tmp_path: Path, names: tuple[str, str]) -> None:
-    messages = []
-    for k in range(3000):
-        order = 1 if k < 1500 else -1
-        messages.append(_joints((100 + k) * 10**9, names[::order], [float(k), -1.0][::order]))
-    log = _record(tmp_path / "log.mcap", messages)
+    orders = [1 if k < 1500 else -1 for k in range(3000)]
+    messages = [(k / 10, [float(k), -1.0][::order], names[::order]) for k, order in enumerate(orders)]
+    log = opened(tmp_path / "log.mcap", messages)
     assert log.topics["joints"].joints == {"position[0]": names[0], "position[1]": names[1]}
     values = log.read("joints", ["position[0]", "position[1]"]).values
     np.testing.assert_array_equal(values, np.column_stack((np.arange(3000), np.full(3000, -1))))
 
 
 def test_publishers_that_share_a_topic_are_told_apart(tmp_path: Path) -> None:
-    messages = [_joints(10**11, (), [])]
+    messages = [(0.0, [], ())]
     for k in range(1, 40):
-        messages.append(_joints((100 + k) * 10**9, ("steer",), [float(k)]))
-        messages.append(_joints((100 + k) * 10**9, ("left", "right"), [float(-k), 0.5]))
-    log = _record(tmp_path / "log.mcap", messages)
+        messages += [(k, [float(k)], ("steer",)), (k + 0.5, [float(-k), 0.5], ("left", "right"))]
+    log = opened(tmp_path / "log.mcap", messages)
     assert log.topics["joints"].joints == {"position[0]": "steer", "position[1]": "left", "position[2]": "right"}
     values = log.read("joints", ["position[0]", "position[2]", "position[1]"]).values
     assert np.isnan(values[0]).all()
@@ -99,9 +89,8 @@ def test_publishers_that_share_a_topic_are_told_apart(tmp_path: Path) -> None:
 
 def test_orders_that_differ_from_file_to_file_are_followed(tmp_path: Path) -> None:
     for number, order in ((0, 1), (1, -1)):
-        begin = 100 + 30 * number
-        messages = [_joints((begin + k) * 10**9, ("left", "boom")[::order], [1.0, 2.0][::order]) for k in range(30)]
-        _record(tmp_path / f"drive_{number}.mcap", messages, begin)
+        messages = [(30 * number + k, [1.0, 2.0][::order], ("left", "boom")[::order]) for k in range(30)]
+        opened(tmp_path / f"drive_{number}.mcap", messages)
     values = BagLog(tmp_path).read("joints", ["position[0]", "position[1]"]).values
     np.testing.assert_array_equal(values, np.tile([1.0, 2.0], (60, 1)))
 
@@ -117,12 +106,10 @@ def test_a_rig_that_names_joints_reads_them_wherever_another_log_has_them(log: P
     text = draft_rig(open_log(log))
     assert 'joints = ["steer"]' in text
     rig = parse_rig(text, where="test")
-    with McapWriter(tmp_path / "other.mcap") as writer:
-        for k in range(20):
-            at = int((100 + 0.05 * k) * 1e9)
-            writer.write("command", _joints(at, ("steer", "brake", "throttle"), [0.5, 0.0, 0.2]), at)
-    other = open_log(tmp_path / "other.mcap")
-    assert (read_channel(other, rig, "steer", rig.channels["steer"])[0].values == 0.5 / 1.0).all()
+    names, values = ("steer", "brake", "throttle"), [0.5, 0.0, 0.2]
+    messages = [(t, "command", joints(t, values, names)) for t in np.arange(0, 1, 0.05)]
+    other = BagLog(written(tmp_path / "other.mcap", messages))
+    assert (read_channel(other, rig, "steer", rig.channels["steer"])[0].values == 0.5).all()
     assert (read_channel(other, rig, "throttle", rig.channels["throttle"])[0].values == 0.2).all()
     wrong = msgspec.structs.replace(rig.channels["steer"], joints=("wheel",))
     message = r"'command' has no joint 'wheel' in position; fix joints in the rig; it has: steer, brake, throttle"

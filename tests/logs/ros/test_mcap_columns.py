@@ -10,19 +10,8 @@ from bag_files import ROS2, START, custom, mcap_file
 from offpiste.core.errors import LogError
 from offpiste.logs import open_log
 from offpiste.logs.ros.bag_files import heard_at
-from offpiste.logs.ros.writer import McapWriter, floats, header, make
-from sensor_bags import IMAGE, SECOND, cloud, compressed, odometry, record, stamp
-
-
-def joints(seconds, positions, names=("a", "b")):
-    return make(
-        "sensor_msgs/JointState",
-        header=header(stamp(seconds), "base"),
-        name=list(names),
-        position=floats(positions),
-        velocity=floats([]),
-        effort=floats([]),
-    )
+from offpiste.logs.ros.writer import McapWriter, header
+from sensor_bags import IMAGE, SECOND, cloud, compressed, joints, odometry, record, stamp
 
 
 def both(path):
