@@ -19,13 +19,13 @@ START = 1_700_000_000
 """Bags made here: message i arrives at START + i seconds, is stamped 0.25 s earlier, and its speed is i m/s."""
 
 
-def twist(store, i: int, *, speed: float | None = None, stamped: float | None = None):
+def twist(store, i: int, *, stamped: float | None = None):
     stamp = START + i - 0.25 if stamped is None else stamped
     vector, types = store.types["geometry_msgs/msg/Vector3"], store.types
     time = types["builtin_interfaces/msg/Time"](sec=int(stamp), nanosec=round((stamp % 1) * 1e9))
     sequence = {"seq": i} if store is ROS1 else {}
     header = types["std_msgs/msg/Header"](stamp=time, frame_id="base", **sequence)
-    linear = vector(x=float(i) if speed is None else speed, y=0.5, z=0.0)
+    linear = vector(x=float(i), y=0.5, z=0.0)
     return types[TWIST](header=header, twist=types["geometry_msgs/msg/Twist"](linear=linear, angular=vector(0, 0, 1.0)))
 
 

@@ -30,6 +30,19 @@ def test_every_format_gives_the_same_drive_through_links_and_dots(kind: str, tmp
         np.testing.assert_allclose(channels["steer"].values, commands.values[:, 2:])
 
 
+@pytest.mark.parametrize("kind", CONTAINERS)
+def test_stamps_and_numbers_pass_through_unchanged(kind: str, tmp_path: Path) -> None:
+    container, recorded = CONTAINERS[kind], driven()
+    pose = recorded["odom"]
+    pose.time[[2, 5, 6]] = pose.time[[5, 2, 5]]
+    pose.values[:4, 0] = np.nan, np.inf, -np.inf, 1e300
+    container.write(recorded, tmp_path / container.name)
+    log = open_log(tmp_path / container.name)
+    samples = log.read(container.topics["odom"], [container.fields[name] for name in ("z", "x")])
+    np.testing.assert_allclose(samples.time, pose.time, atol=1e-6)
+    np.testing.assert_array_equal(samples.values, pose.values[:, [2, 0]])
+
+
 def test_a_folder_of_another_format_may_hold_a_bag(tmp_path: Path) -> None:
     CONTAINERS["tartandrive"].write(driven(), tmp_path)
     (tmp_path / "drive.mcap").touch()

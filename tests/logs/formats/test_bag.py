@@ -90,13 +90,6 @@ def test_header_and_receive_stamps(tmp_path: Path) -> None:
     assert log.read("/odom", [SPEED], stamps="receive").time.tolist() == [START, START + 1, START + 2]
 
 
-def test_stamps_that_go_back_and_numbers_that_are_not_finite_stay(tmp_path: Path) -> None:
-    recorded = [(10.0, np.nan), (12.0, np.inf), (11.0, -np.inf), (11.0, 1e300)]
-    messages = [twist(ROS2, i, stamped=stamp, speed=speed) for i, (stamp, speed) in enumerate(recorded)]
-    samples = BagLog(mcap_file(tmp_path / "a.mcap", messages)).read("/odom", [SPEED])
-    np.testing.assert_array_equal(np.column_stack((samples.time, samples.values)), recorded)
-
-
 def test_arrays_and_sequences(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     definition = "float64[3] fixed\nfloat32[37] bulk\nint16[] loose\nuint8[] raw\nuint8[<=4] few\n"
     definition += "geometry_msgs/Point[] points\nstring mode\nbool armed\n"

@@ -39,15 +39,6 @@ def test_folder_without_array_is_an_empty_topic(tmp_path: Path) -> None:
         log.read("odom", ["0"])
 
 
-def test_numbers_and_stamps_pass_through_unchanged(tmp_path: Path) -> None:
-    values = np.array([[1.0, np.nan], [np.inf, 2.0], [-np.inf, 3.0]], dtype=np.float32)
-    modality(tmp_path, "odom", values, np.array([2.0, 1.0, 1.0]))
-    samples = TartanDriveLog(tmp_path).read("odom", ["1", "0"])
-    np.testing.assert_array_equal(samples.values, values[:, ::-1])
-    assert samples.values.dtype == np.float64
-    assert samples.time.tolist() == [2.0, 1.0, 1.0]
-
-
 @pytest.mark.parametrize("values", [np.array([4, 5, 6], np.int16), np.array([[4], [5], [6]])])
 def test_numbers_of_any_type_are_columns(tmp_path: Path, values: np.ndarray) -> None:
     modality(tmp_path, "angle", values)
