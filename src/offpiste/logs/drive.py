@@ -85,11 +85,9 @@ def common_span(channels: Sequence[Channel], path: str | Path) -> tuple[float, f
     if not end > start:
         late = max(channels, key=lambda channel: channel.time[0])
         early = min(channels, key=lambda channel: channel.time[-1])
-        raise LogError(
-            f"'{early.name}' ends at {early.time[-1]:.3f} s, before '{late.name}' begins at {late.time[0]:.3f} s",
-            where=path,
-            how='their clocks differ: use clock.stamps = "receive", fix a delay, or drop the channel',
-        )
+        what = f"'{early.name}' ends at {early.time[-1]:.3f} s, before '{late.name}' begins at {late.time[0]:.3f} s"
+        how = 'their clocks differ: use clock.stamps = "receive", fix a delay, or drop the channel'
+        raise LogError(what, where=path, how=how)
     refuse_long(start, end, path)
     if end - start >= _PAUSE:
         _refuse_gap(start, end, channels, path)

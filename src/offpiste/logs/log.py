@@ -43,9 +43,8 @@ class Topic:
     name: str
     type: str  # message type, or kind of file
     count: int  # number of samples; of a part (`part_of`), those at the beginning of the log only
-    fields: tuple[
-        str, ...
-    ]  # names of the numbers; empty if the first messages are needed to tell them and none is there
+    # Names of the numbers; empty if they depend on the first messages, of which there are none.
+    fields: tuple[str, ...]
     units: Mapping[str, str] = field(default_factory=dict)  # of fields, if the log states them apart from the names
     joints: Mapping[str, str] = field(default_factory=dict)  # names of the entries of sensor_msgs/JointState, by field
     unread: Mapping[str, str] = field(default_factory=dict)  # reasons why other columns are not fields, by column
@@ -67,10 +66,8 @@ class Topic:
         wanted = [(one.partition("[")[0], joint) for one, joint in zip(fields, joints, strict=True)]
         if missing := [pair for pair in wanted if pair not in own]:
             known = ", ".join(dict.fromkeys(joint for array, joint in reversed(own) if array == missing[0][0]))
-            raise LogError(
-                f"topic '{self.name}' has no joint '{missing[0][1]}' in {missing[0][0]}",
-                how=f"fix joints in the rig; it has: {known or 'none'}",
-            )
+            what = f"topic '{self.name}' has no joint '{missing[0][1]}' in {missing[0][0]}"
+            raise LogError(what, how=f"fix joints in the rig; it has: {known or 'none'}")
         return tuple(own[pair] for pair in wanted)
 
 
@@ -121,9 +118,7 @@ class Log(ABC):
     description: ClassVar[str] = ""  # name of the format in messages, e.g. "a KITTI raw drive"
     has_sensors: ClassVar[bool] = False  # the format can hold images or point clouds
     has_messages: ClassVar[bool] = False  # `messages` yields decoded ROS messages
-    has_arrivals: ClassVar[bool] = (
-        False  # samples have arrival times, too; the argument `stamps` chooses one of the two
-    )
+    has_arrivals: ClassVar[bool] = False  # samples have arrival times, too; `stamps` chooses one of the two
     has_clock_unit: ClassVar[bool] = False  # the rig's clock states the unit of the stamps
     path: Path
     warnings: tuple[str, ...] = ()  # parts of a damaged or ambiguous log that the reader left out or guessed

@@ -78,9 +78,8 @@ class ChannelSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     offset: float = 0.0
     sign: Literal[-1, 1] = 1
     delay: float = 0.0  # how much later than measured a sample is stamped [s]
-    frame: Literal["", "world", "body", "unknown"] = (
-        ""  # of velocities; if "unknown", the pose is differentiated instead
-    )
+    # Frame of velocities; if "unknown", the pose is differentiated instead.
+    frame: Literal["", "world", "body", "unknown"] = ""
     wrap: Wrap | None = None
     valid: tuple[float, float] | None = None  # converted values outside are dropped as measurement faults
     clip: tuple[float, float] | None = None  # converted values are limited to this interval

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection, ConnectionExtRosbag1, MessageDefinition, MessageDefinitionFormat, Nodetype
@@ -20,8 +20,12 @@ from offpiste.logs.log import as_log_error
 from offpiste.logs.ros.bounds import MOST_OBJECTS, Rosbag1, fields_in, has_entries, refuse_expansion, refuse_text
 from offpiste.logs.ros.mcap_recovery import StreamedMcap
 
-_OCTETS = {"byte", "char", "uint8"}
-_NUMBERS = _OCTETS | {"bool", "int8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"}
+NUMBERS: Final = {
+    "bool": "u1", "byte": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
+    "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+"""Types of numbers in messages, and NumPy's names for them."""
+_OCTETS: Final = ("byte", "char", "uint8")
 MakeDecoder = Callable[[Connection, Path], Callable[[bytes], object]]
 """Function that makes the decoder of a connection's messages, given the path of its bag for errors."""
 
@@ -76,7 +80,7 @@ def fields_of(store: Typestore, msgtype: str, first: Callable[[], Iterable[objec
         path = prefix + name
         if kind == Nodetype.NAME and element not in _NO_NUMBERS:
             yield from fields_of(store, element, first, f"{path}.")
-        if inner == Nodetype.NAME or element[0] not in _NUMBERS or name == "structure_needs_at_least_one_member":
+        if inner == Nodetype.NAME or element[0] not in NUMBERS or name == "structure_needs_at_least_one_member":
             continue
         if kind == Nodetype.BASE:
             yield path
@@ -209,7 +213,8 @@ def _open_file(path: Path, notes: list[str]) -> Reader:
     except LogError:
         if path.suffix != ".mcap":
             raise
-    reader = StreamedMcap(path)
+    with reported(path, "cannot be read"):
+        reader = StreamedMcap(path)
     notes.extend(reader.warnings)
     return reader
 

@@ -21,7 +21,7 @@ from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
 from rosbags.typesys.store import Typestore
 
 from offpiste.core.errors import LogError
-from offpiste.logs.ros.bag_files import field_getter, reported, typestore_of
+from offpiste.logs.ros.bag_files import NUMBERS, field_getter, reported, typestore_of
 
 _HEAD: Final = 31
 """Size of a message record's head: opcode, length, channel, sequence, two times [bytes]."""
@@ -29,10 +29,6 @@ _LONGEST: Final = 4096
 """Size of messages above which no numbers are kept: images, clouds, maps [bytes]."""
 _ENTRIES: Final = 8
 """Length of arrays above which entries are not kept (covariances) but read again on demand."""
-_TYPES: Final = {
-    "bool": "u1", "byte": "u1", "char": "u1", "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2",
-    "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8", "float32": "f4", "float64": "f8",
-}  # fmt: skip
 _HEADS: Final = {"header": "std_msgs/msg/Header", "stamp": "builtin_interfaces/msg/Time"}
 
 
@@ -79,7 +75,7 @@ class _Layout:
             length = self._length()
             self.at += length
         else:
-            number = _TYPES[detail[0]]
+            number = NUMBERS[detail[0]]
             self._align(int(number[1]))
             if path:
                 self.fields[path] = self.at, number

@@ -14,7 +14,7 @@ from mcap.records import Channel, Chunk, Message, Schema
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.msg import normalize_msgtype
 
-from offpiste.core.errors import LogError, TooLarge
+from offpiste.core.errors import LogError
 from offpiste.core.limits import refuse_larger, zstd
 from offpiste.logs.ros.bounds import inflated
 
@@ -118,8 +118,6 @@ class StreamedMcap:
                     yield from self._walk(BytesIO(data), len(data))
                 elif opcode in _READERS:
                     yield _READERS[opcode](body)
-            except TooLarge as error:
-                raise TooLarge(error.what, where=self.path, how=error.how) from error
             except _DAMAGE:
                 self._damaged += 1
 

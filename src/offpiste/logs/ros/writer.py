@@ -5,7 +5,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -60,13 +60,6 @@ _CHUNK_SIZE = 4 << 20
 """Largest size of a chunk [bytes]; the writer keeps up to two in memory."""
 
 
-class _Entry(NamedTuple):
-    topic: str
-    msgtype: str
-    stamp: int
-    data: bytes
-
-
 class McapWriter(AbstractContextManager["McapWriter"]):
     """Writer of messages to a new `.mcap` file; equal messages give equal bytes.
 
@@ -91,7 +84,7 @@ class McapWriter(AbstractContextManager["McapWriter"]):
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
         self._definitions: dict[str, str] = {}
-        self._batch: list[_Entry] = []
+        self._batch: list[tuple[str, str, int, bytes]] = []  # topic, type, stamp [ns] and data
         self._size = 0
         self._worker = ThreadPoolExecutor(max_workers=1)
         self._at_work: Future[None] | None = None
@@ -103,17 +96,17 @@ class McapWriter(AbstractContextManager["McapWriter"]):
         """Append a message of `make`, serialised at once, with its stamp [ns since 1970]."""
         msgtype = message.__msgtype__
         data = bytes(message_types().serialize_cdr(message, msgtype, little_endian=True))
-        self._append(_Entry(topic, msgtype, stamp_ns, data))
+        self._append(topic, msgtype, stamp_ns, data)
 
     def write_serialised(self, topic: str, msgtype: str, data: bytes, definition: str, stamp_ns: int) -> None:
         """Append a serialised message (CDR) of any type, given its full definition."""
         self._definitions.setdefault(msgtype, definition)
-        self._append(_Entry(topic, msgtype, stamp_ns, data))
+        self._append(topic, msgtype, stamp_ns, data)
 
-    def _append(self, entry: _Entry) -> None:
-        self._batch.append(entry)
-        self._size += len(entry.data)
-        if self._size >= _CHUNK_SIZE or entry.stamp - self._batch[0].stamp >= _CHUNK_TIME:
+    def _append(self, topic: str, msgtype: str, stamp_ns: int, data: bytes) -> None:
+        self._batch.append((topic, msgtype, stamp_ns, data))
+        self._size += len(data)
+        if self._size >= _CHUNK_SIZE or stamp_ns - self._batch[0][2] >= _CHUNK_TIME:
             self._hand_over()
 
     def close(self) -> None:
@@ -143,7 +136,7 @@ class McapWriter(AbstractContextManager["McapWriter"]):
             what = f"cannot be written: {error.strerror}"
             raise LogError(what, where=self.path, how="make room on the disk") from error
 
-    def _put(self, batch: list[_Entry]) -> None:
+    def _put(self, batch: list[tuple[str, str, int, bytes]]) -> None:
         for topic, msgtype, stamp, data in batch:
             self._mcap.add_message(self._channel(topic, msgtype), stamp, data, stamp)
         batch.clear()
