@@ -109,6 +109,8 @@ def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cur
         remains += 0.0 if cure in seen else against_names(cure, rig)
         if remains < least - 1e-9 and not _hides_motion(left, after):
             best, least = (cure, after), remains
+            if remains < _PER_EDIT + badness([finding for finding in after if finding.severity == "note"]) + 1e-9:
+                break  # one fault explains everything
     return best
 
 
