@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.inspection.driven_path import STEP, DrivenPath
-from offpiste.inspection.findings import Finding, Severity
+from offpiste.inspection.findings import Finding, Severity, fixable
 from offpiste.inspection.lags import SURE, jackknife
 from offpiste.logs.channel import turning_sign
 from offpiste.logs.drive import Drive
@@ -90,7 +90,7 @@ def _check_heading(name: str, plain: Reading, others: Sequence[Reading], rig: Ri
         severity: Severity = "fatal" if plain.together < _APART else "warning"
         return [Finding(severity, name, what, evidence, how, 1.0, sure=plain.together < _APART)]
     evidence += f", and to {ways[0][1]:.2f} with the remedy"
-    return [Finding("fatal", name, what, evidence, ", ".join(map(str, cures[0])), 1.0, cures)]
+    return [fixable("fatal", name, what, evidence, *cures)]
 
 
 def readings(drive: Drive, path: DrivenPath) -> Iterator[Reading]:

@@ -1,6 +1,7 @@
 """Driven path from the pose alone, the reference for all other channels."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -76,19 +77,8 @@ class DrivenPath:
         """Return the part before or after a time [s], whichever is longer."""
         row = int(np.searchsorted(self.time, at))
         rows = slice(0, row) if row > len(self.time) - row else slice(row, None)
-        return replace(
-            self,
-            time=self.time[rows],
-            place=self.place[rows],
-            velocity=self.velocity[rows],
-            speed=self.speed[rows],
-            forward=self.forward[rows],
-            yaw=self.yaw[rows],
-            yaw_rate=self.yaw_rate[rows],
-            acceleration=self.acceleration[rows],
-            slope=self.slope[rows],
-            reverse=None if self.reverse is None else self.reverse[rows],
-        )
+        columns: dict[str, Any] = {k: v[rows] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
+        return replace(self, **columns)
 
 
 def driven_path(drive: Drive) -> DrivenPath:

@@ -6,7 +6,7 @@ from offpiste.core.errors import OffpisteError
 from offpiste.inspection.checks import Topics, check_motion, check_topics
 from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import MOVING, DrivenPath, driven_path
-from offpiste.inspection.findings import Finding, is_fatal, ranked
+from offpiste.inspection.findings import Finding, fixable, is_fatal, ranked
 from offpiste.inspection.heading_drift import check_fast_drift
 from offpiste.inspection.pedals import check_control_channels
 from offpiste.inspection.pose import check_orientation, check_pose, check_position_unit, leap_of
@@ -107,7 +107,7 @@ def _check_pose_names(rig: Rig) -> list[Finding]:
     if down and rig.motion.axes not in WORLD_DOWN:
         edit, what = Edit("motion.axes", "ned"), "its third field is named down, and is read as up"
         evidence = f"'{down[0]}'; hills would be valleys"
-        findings.append(Finding("warning", "position", what, evidence, str(edit), 0.9, ((edit,),)))
+        findings.append(fixable("warning", "position", what, evidence, (edit,), score=0.9))
     named = rig.channels["yaw"].fields if "yaw" in rig.channels else ()
     course = [field for field in named if named_course(field)]
     if course:

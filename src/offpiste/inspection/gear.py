@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from offpiste.core.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath, driven_path
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, fixable
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged, sampled
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.channel import increasing
@@ -89,8 +89,8 @@ def check_gear(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded])
         return []
     cure = _meanings(drive, path, moving, raw)
     evidence = f"the vehicle moves against it for {against.sum() * STEP:.1f} s, {share:.0%} of its motion"
-    how = ", ".join(map(str, cure)) or "give `values` for what is recorded, or leave the channel out"
-    return [Finding("warning", "gear", "does not go with the motion", evidence, how, share, (cure,) if cure else ())]
+    how = "give `values` for what is recorded, or leave the channel out"
+    return [fixable("warning", "gear", "does not go with the motion", evidence, cure, score=share, advice=how)]
 
 
 def pedal_reverses(drive: Drive, path: DrivenPath) -> bool:
@@ -138,9 +138,8 @@ def _reverse_pedal(rig: Rig) -> Finding:
     gear |= {"offset": rounded(each * source.offset)} if source.offset else {}
     gear |= {"sign": -1} if source.sign < 0 else {}
     cure = (Edit("channels.throttle.absolute", True), Edit("channels.gear", gear), *absent("brake", rig))
-    how = ", ".join(map(str, cure))
     evidence = f"below zero '{source.fields[0]}' drives the vehicle backwards, and does not brake it"
-    return Finding("warning", "brake", "is reverse, and no brake", evidence, how, 1.0, (cure,))
+    return fixable("warning", "brake", "is reverse, and no brake", evidence, cure)
 
 
 def _hidden_reverse(drive: Drive, path: DrivenPath) -> list[Finding]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from offpiste.core.geometry import planar_body_from_world
 from offpiste.inspection.driven_path import STEP, DrivenPath, fit_delayed
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, fixable
 from offpiste.inspection.lags import SURE, LagFit, fit_lags
 from offpiste.inspection.response import PRIORS, SteeringFit, moving_rows, prior
 from offpiste.inspection.velocity import fit_frames, fit_turn_rate, fit_wheel_speed, turn_rate_name
@@ -93,8 +93,7 @@ def check_late_poses(
     wrong = [i for i in measured if abs(i.time - i.usual) > max(2 * i.spread, _LATE / 2)]
     apart = ", ".join(f"{i.behind} {i.time - i.usual:+.2f} s behind {i.other}" for i in wrong)
     evidence = f"{apart}, apart from what is usual: {delay:+.2f} s of {' and '.join(found)} explain most"
-    what = "is late" if delay > 0 else "is early"
-    return [Finding("warning", found[0], what, evidence, ", ".join(map(str, cure)), 0.9, (cure,))]
+    return [fixable("warning", found[0], "is late" if delay > 0 else "is early", evidence, cure, score=0.9)]
 
 
 def _beside_controls(measured: Sequence[Interval], late: Sequence[str], by: float, drive: Drive) -> bool:

@@ -10,7 +10,7 @@ from offpiste.core.conventions import GRAVITY
 from offpiste.inspection.course import heading_fits
 from offpiste.inspection.delays import check_delay
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath
-from offpiste.inspection.findings import Cure, Finding, Severity
+from offpiste.inspection.findings import Cure, Finding, Severity, fixable
 from offpiste.inspection.lags import LAGS, SURE, LagFit, fit_lags, lagged, sampled
 from offpiste.inspection.response import PRIORS, SteeringFit
 from offpiste.inspection.samples import BRAKES, is_untouched
@@ -153,8 +153,7 @@ def _never_released(name: str, drive: Drive, path: DrivenPath) -> Finding | None
     if name != "brake" or pressed < _ALWAYS or not rests_high(drive.channels[name].values[:, 0]):
         return None
     evidence = f"it is above {_PRESSED} for {pressed:.0%} of the time, and the vehicle drives"
-    cure = _flip(name, drive)
-    return Finding("warning", name, "is pressed all the time", evidence, ", ".join(map(str, cure)), 1.0, (cure,))
+    return fixable("warning", name, "is pressed all the time", evidence, _flip(name, drive))
 
 
 def _without_effect(name: str, fit: LagFit, drive: Drive, path: DrivenPath) -> Finding:
@@ -200,7 +199,7 @@ def _too_small(name: str, fit: LagFit, drive: Drive) -> list[Finding]:
     if gain - sure * sigma < _STRONGEST:
         return []
     evidence = f"it never exceeds {largest:.3g}, and full {name} would mean {gain:.0f} ± {sigma:.0f} m/s2"
-    return [Finding("warning", name, "is too small for what it does", evidence, str(edit), 1.0, ((edit,),))]
+    return [fixable("warning", name, "is too small for what it does", evidence, (edit,))]
 
 
 def _idle(name: str, drive: Drive, path: DrivenPath) -> list[Finding]:
@@ -225,4 +224,4 @@ def _idle(name: str, drive: Drive, path: DrivenPath) -> list[Finding]:
     edit = Edit(f"channels.{name}.offset", rounded(source.offset - lowest / per_unit))
     when = "with the other pedal pressed" if pressed.any() else "at standstills"
     evidence = f"its lowest value is {lowest:.3g}, {when}, too"
-    return [Finding(severity, name, "never comes back to zero", evidence, str(edit), lowest, ((edit,),))]
+    return [fixable(severity, name, "never comes back to zero", evidence, (edit,), score=lowest)]

@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 from offpiste.core.conventions import SIGMA_PER_MEDIAN
 from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.inspection.driven_path import STEP, DrivenPath
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, fixable
 from offpiste.inspection.pose_samples import check_faults, check_repeats, check_seldom
 from offpiste.logs.channel import Channel, to_z_up
 from offpiste.logs.drive import Drive
@@ -79,8 +79,7 @@ def check_orientation(quaternion: Float[np.ndarray, "n 4"], rig: Rig) -> list[Fi
         what = what if cures else "the body's z axis points down"
         cures += [(Edit("motion.axes", axes),) for axes in ("body down", "world down") if axes != rig.motion.axes]
         cures += [(Edit("motion.axes", "z up"),)] if rig.motion.axes != "z up" else []
-    remedy = str(cures[0][0]) if cures else remedy
-    return [*findings, Finding("fatal", "orientation", what, evidence, remedy, 1.0, tuple(cures))]
+    return [*findings, fixable("fatal", "orientation", what, evidence, *cures, advice=remedy)]
 
 
 def check_position_unit(drive: Drive, path: DrivenPath) -> list[Finding]:
@@ -106,8 +105,8 @@ def check_position_unit(drive: Drive, path: DrivenPath) -> list[Finding]:
         units = [unit for unit, factor in factors.items() if _plausible(path, factor)]
         units.sort(key=lambda unit: factors[unit] * _acceleration(path) > _GRIP)
         cures = tuple((Edit("channels.position.unit", unit),) for unit in units) or _scales(rig, path)
-        remedy = str(cures[0][0]) if cures else "fix channels.position.unit or scale"
-        return [Finding("fatal", "position", "moves too fast", evidence, remedy, 1.0, cures)]
+        how = "fix channels.position.unit or scale"
+        return [fixable("fatal", "position", "moves too fast", evidence, *cures, advice=how)]
     return []
 
 
@@ -183,7 +182,7 @@ def _noise(drive: Drive, path: DrivenPath) -> list[Finding]:
     wider = round(min(window * (error / most) ** (2 / 3), _WIDEST), 2)
     evidence = f"noise of {sigma:.3g} m makes velocities over {window:g} s uncertain by {error:.2g} m/s"
     edit = Edit("motion.window", wider)
-    return [Finding("warning", "position", "is too noisy to differentiate", evidence, str(edit), 0.6, ((edit,),))]
+    return [fixable("warning", "position", "is too noisy to differentiate", evidence, (edit,), score=0.6)]
 
 
 def _jumps(place: Channel, path: DrivenPath, origin: float) -> list[Finding]:

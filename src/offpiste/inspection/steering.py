@@ -7,7 +7,7 @@ import numpy as np
 
 from offpiste.inspection.delays import changing_delay, check_delay, drifting_delay, window_delays
 from offpiste.inspection.driven_path import DrivenPath
-from offpiste.inspection.findings import Cure, Finding
+from offpiste.inspection.findings import Cure, Finding, fixable
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged
 from offpiste.inspection.response import SteeringFit, moving_rows
 from offpiste.inspection.steering_scale import check_scale, scale_note
@@ -107,7 +107,7 @@ def _sign(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
     evidence = f"correlation of the yaw rate (+ left) with speed times {name}: {steady.r[steady.best()]:+.2f}, "
     evidence += f"of its change {dynamic.r[dynamic.best()]:+.2f}"
     edit = Edit(f"channels.{name}.sign", -rig.channels[name].sign)
-    return [Finding("warning", name, "is positive to the right", evidence, str(edit), 1.0, ((edit,),))]
+    return [fixable("warning", name, "is positive to the right", evidence, (edit,))]
 
 
 def _centre(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
@@ -119,4 +119,4 @@ def _centre(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
     per_unit = source.sign * unit_factor(name, source.unit, rig.vehicle.max_steer)
     edit = Edit(f"channels.{name}.offset", rounded(source.offset - fit.centre / per_unit))
     evidence = f"the vehicle goes straight at {fit.centre:.3f} ± {fit.centre_sigma:.3f}"
-    return [Finding("warning", name, "is not zero straight ahead", evidence, str(edit), 0.5, ((edit,),))]
+    return [fixable("warning", name, "is not zero straight ahead", evidence, (edit,), score=0.5)]

@@ -9,7 +9,7 @@ from msgspec import structs
 
 from offpiste.core.geometry import planar_body_from_world, yaw_rate_from_body_rates
 from offpiste.inspection.driven_path import DELAYS, TURNING, DrivenPath, FrameFit, fit_delayed, levelled, on_path
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, fixable
 from offpiste.inspection.lags import SURE, fit_lags
 from offpiste.inspection.response import moving_rows
 from offpiste.logs.channel import Channel, to_z_up, turning_sign
@@ -77,17 +77,16 @@ def check_linear_velocity(drive: Drive, path: DrivenPath) -> list[Finding]:
     stated = fits.get(source.frame)
     evidence = ", ".join(f"{fit.misfit:.2f} as {fit.frame}" for fit in fits.values())
     evidence = f"RMS difference to the pose's derivative over RMS speed: {evidence}"
-    unused = Edit(f"channels.{name}.frame", "unknown")
     if best.misfit > 2 * _FITS:
         if source.frame == "unknown":
             return []
         if _fits_north_east(drive, path):
             cure = Edit(f"channels.{name}.fields", [source.fields[1], source.fields[0]])
             edits = (cure,) if source.frame == "world" else (cure, Edit(f"channels.{name}.frame", "world"))
-            how = ", ".join(map(str, edits))
             what = "is north, east, down, and is read as east, north, up"
-            return [Finding("warning", name, what, evidence, how, 1.0, (edits,))]
-        return [Finding("warning", name, "fits the pose in neither frame", evidence, str(unused), 1.0, ((unused,),))]
+            return [fixable("warning", name, what, evidence, edits)]
+        unused = Edit(f"channels.{name}.frame", "unknown")
+        return [fixable("warning", name, "fits the pose in neither frame", evidence, (unused,))]
     findings = []
     mirrored = _sideways(drive, path) if best.frame == "body" else []
     if stated is None and not mirrored:
@@ -97,7 +96,7 @@ def check_linear_velocity(drive: Drive, path: DrivenPath) -> list[Finding]:
     elif stated is not None and stated.frame != best.frame and stated.misfit > max(_FITS, 2 * best.misfit):
         frame = Edit(f"channels.{name}.frame", best.frame)
         what = f"is in the {best.frame} frame, not the {stated.frame}'s"
-        findings.append(Finding("warning", name, what, evidence, str(frame), 1.0, ((frame,),)))
+        findings.append(fixable("warning", name, what, evidence, (frame,)))
     if stated is None:
         return findings  # an unused velocity is harmless
     fit = best if findings else stated
@@ -196,7 +195,7 @@ def _bias(recorded: Float[np.ndarray, " n"], path: DrivenPath, rig: Rig) -> list
     per_unit = turning_sign(name, rig.motion.axes) * source.sign * unit_factor(name, source.unit)
     edit = Edit(f"channels.{name}.offset", rounded(source.offset - bias / per_unit))
     evidence = f"it is {bias:.3f} ± {fit.gain_sigma(0):.1g} rad/s where the vehicle does not turn"
-    return [Finding("warning", name, "is not zero without turning", evidence, str(edit), 0.4, ((edit,),))]
+    return [fixable("warning", name, "is not zero without turning", evidence, (edit,), score=0.4)]
 
 
 def _turn_rate(drive: Drive) -> Channel:
@@ -225,7 +224,7 @@ def _gain(
     evidence = f"it is {fit.gain:.3g} ± {fit.gain_sigma:.1g} times the pose's derivative"
     if fit.gain < -SURE * fit.gain_sigma:
         sign = Edit(f"channels.{name}.sign", -source.sign)
-        findings.append(Finding("warning", name, "has the wrong sign", evidence, str(sign), 1.0, ((sign,),)))
+        findings.append(fixable("warning", name, "has the wrong sign", evidence, (sign,)))
     size = abs(fit.gain)
     power = float(10.0 ** np.round(np.log10(size))) if size else 1.0
     size = power if abs(size / power - 1) < _COUNTED else size
@@ -241,8 +240,7 @@ def _gain(
     cures += [place for place in places if place not in cures]
     if unit == "m/s" and rig.channels["position"].unit != GEOGRAPHIC:
         cures.append((Edit("channels.position.scale", rounded(rig.channels["position"].scale * size)),))
-    remedy = ", ".join(map(str, cures[0]))
-    return [*findings, Finding("warning", name, f"is not in {unit}", evidence, remedy, 0.9, tuple(cures))]
+    return [*findings, fixable("warning", name, f"is not in {unit}", evidence, *cures, score=0.9)]
 
 
 def _other_unit_of_places(size: float, rig: Rig) -> Iterator[tuple[Edit, ...]]:
@@ -256,8 +254,7 @@ def _other_unit_of_places(size: float, rig: Rig) -> Iterator[tuple[Edit, ...]]:
 def _delay(name: str, fit: FrameFit, source: ChannelSource) -> list[Finding]:
     if abs(fit.delay) < _LATE + SURE * fit.delay_sigma or abs(fit.delay) >= DELAYS[-1]:
         return []
-    late = fit.delay > 0
-    evidence = f"it fits the pose's derivative best when taken {abs(fit.delay):.2f} ± {fit.delay_sigma:.2f} s "
-    evidence += "later" if late else "earlier"
+    what, when = ("is late", "later") if fit.delay > 0 else ("is early", "earlier")
+    evidence = f"it fits the pose's derivative best when taken {abs(fit.delay):.2f} ± {fit.delay_sigma:.2f} s {when}"
     edit = Edit(f"channels.{name}.delay", round(source.delay + fit.delay, 2))
-    return [Finding("warning", name, "is late" if late else "is early", evidence, str(edit), 0.7, ((edit,),))]
+    return [fixable("warning", name, what, evidence, (edit,), score=0.7)]
