@@ -1,5 +1,6 @@
 """Processes of a drive: clock, track, signs of life, memory, the cropped map, and plans."""
 
+import threading
 import time
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -10,21 +11,24 @@ import pytest
 
 from live.synthetic_robot import START, cloud, live_settings, odometry, plan, planner, reading, small_settings, tree
 from offpiste.live.control import Controller, SteadyAges
-from offpiste.live.map_and_plan import Plans, _within_reach
+from offpiste.live.map_and_plan import Plans, _within_reach, codes
 from offpiste.live.part import STAMP, Part, TrackFeed
 from offpiste.live.reception import Reception
 from offpiste.live.replay import StepDriver
-from offpiste.live.ring import pack_fields, pack_layers, packed, unpacked
+from offpiste.live.ring import pack_fields, pack_layers, pack_sensors, packed, unpacked
 from offpiste.live.robot_messages import VehicleMessages
 from offpiste.live.session import new_session
+from offpiste.logs.measurements import Camera, Image
+from offpiste.rig.camera import CameraModel
 from offpiste.rig.rig import load_rig
 from offpiste.runtime.estimator import VehicleTrack
 from offpiste.runtime.follower import MapState
+from offpiste.runtime.perception import codes_of
 from offpiste.runtime.plan_maker import Planned
 from offpiste.runtime.prediction import reachable
 from planning_maps import layers
 from runtime.stream import course
-from transport.routers import Network
+from transport.routers import Network, until
 
 COMMANDED = {"applied": np.zeros(3), "driver": {}, "stopping": False, "gear": 1.0, "mode": "driving"}
 COMMANDED |= {"course": 1, "progress": 30.0}
@@ -107,6 +111,32 @@ def test_the_cropped_map_contains_the_reach_of_plans_at_the_speed_of_the_course(
             assert (low <= wanted[0]).all()
             assert (high >= wanted[1]).all()
         assert max(gear * low[0], gear * high[0]) >= 8 * 5, "the distance in five seconds"
+
+
+def test_a_keyframe_is_coded_and_an_image_beside_it_is_not(tmp_path):
+    eye = '[cameras.eye]\ntopic = "/image"\ninfo = "/info"\n'
+    pixels = np.random.default_rng(0).integers(0, 256, (98, 140, 3), dtype=np.uint8)
+    with part_of(tmp_path, more=eye, run="pretrained:proving-ground/dc", actuators=True) as part:
+        session, planner = part.session, part.settings.load_planner()
+        model = CameraModel(140, 98, np.array([[90.0, 0, 69.5], [0, 90.0, 48.5], [0, 0, 1]]))
+        sensors = {"eye": Camera("eye", model, np.eye(4), part.rig.cameras["eye"])}, {}
+        session.ring("sensors").write(pack_sensors(sensors))
+        process = threading.Thread(target=codes, args=(session,))
+        process.start()
+
+        def found():
+            now = time.time()
+            session.ring("images").write(pack_fields(Image(now - 0.01, "eye", pixels)))
+            session.ring("readings").write(pack_fields(reading(now), control=None, came=0.0))
+            return [unpacked(entry.data)["codes"] for entry in session.ring("codes").since(0)]
+
+        assert until(lambda: len(found()) > 1, 60, every=0.05)
+        session.ring("end").write(b"end")
+        process.join()
+        first, second, *_ = found()
+        image = planner.sensor_setup(*sensors).cameras["eye"].rectifier(pixels)
+    np.testing.assert_array_equal(first, codes_of(image, planner.extractor.extract, planner.dynamics.encoder))
+    assert second is None
 
 
 def planned(now, *_, **__):

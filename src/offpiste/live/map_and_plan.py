@@ -8,12 +8,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from offpiste.core.errors import PerceptionError
 from offpiste.live.part import LOADING, NewestCourse, Part, TrackFeed, freeze_loaded_objects, release_freed_memory
-from offpiste.live.ring import from_fields, layers_from, pack_layers, pack_plan, packed, sensors_from
+from offpiste.live.ring import Reader, from_fields, layers_from, pack_layers, pack_plan, packed, sensors_from
 from offpiste.live.session import Session
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
-from offpiste.mapping.replay import Keyframes
 from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.native.threads import single_threaded_torch
 from offpiste.rig.camera import CameraModel
@@ -21,7 +19,7 @@ from offpiste.rig.outputs import can_reverse
 from offpiste.rig.sensors import OPTICAL, CameraSource
 from offpiste.runtime.estimator import Given, VehicleTrack
 from offpiste.runtime.follower import Follower
-from offpiste.runtime.perception import OnlineMapper, SensorSetup, Stopwatch, codes_of, encoder_on
+from offpiste.runtime.perception import Measured, OnlineMapper, Stopwatch, encoder_on
 from offpiste.runtime.plan_maker import PlanMaker
 from offpiste.runtime.planner import Planner, warm_up
 from offpiste.runtime.prediction import reachable
@@ -34,14 +32,39 @@ _RELEASE: Final = 10.0
 """Time between releases of freed memory [s]."""
 
 
-def wait_for_sensors(part: Part, planner: Planner) -> SensorSetup | None:
-    """Wait for the sensors' calibrations; return None if the drive ends first."""
-    while not part.ending:
-        if values := part.newest("sensors"):
-            return planner.sensor_setup(*sensors_from(values, part.rig))
+def mapper_of(part: Part, watch: Stopwatch, device: str = "cpu") -> tuple[OnlineMapper, TrackFeed] | None:
+    """Return a mapper and the readings for its poses once the sensors are known; None if the drive ends first.
+
+    Args:
+        device: of feature extractor and encoder.
+    """
+    planner = part.settings.load_planner(device)
+    load_kernels(part, planner)  # on the CPU, since nothing is planned here
+    while not (sensors := part.newest("sensors")):
+        if part.ending:
+            return None
         part.beat("waits for the sensors' calibrations")
         time.sleep(0.05)
-    return None
+    setup = planner.sensor_setup(*sensors_from(sensors, part.rig))
+    encoder = encoder_on(device, planner.dynamics.eval().requires_grad_(False).encoder)
+    feed = TrackFeed(part, planner.dynamics.vehicle.actuators)
+    mapper = OnlineMapper(setup, encoder, feed.track, part.settings.runtime.replay, watch)
+    mapper.dropped = part.dropped
+    freeze_loaded_objects()
+    return mapper, feed
+
+
+def newest_of_each(part: Part, feed: TrackFeed, reader: Reader, kind: type[Measured]) -> list[Measured]:
+    """Return the newest image or scan of each sensor since the last call."""
+    what, sensor = ("images", "camera") if kind is Image else ("scans", "lidar")
+    newest: dict[str, Measured] = {}
+    for values in reader.new():
+        name, measured = values[sensor], from_fields(kind, values)
+        if not feed.intake.ahead(name, measured.time):
+            part.dropped[f"{what}: replaced by a newer one"] += name in newest
+            newest[name] = measured
+    part.dropped[f"{what}: overwritten"] = reader.lost
+    return list(newest.values())
 
 
 def load_kernels(part: Part, planner: Planner, device: str = "cpu") -> None:
@@ -60,66 +83,34 @@ def load_kernels(part: Part, planner: Planner, device: str = "cpu") -> None:
 
 def codes(session: Session) -> None:
     """Run the process that encodes keyframes: backbone, PCA and encoder."""
-    part = Part("codes", session)
-    device = part.settings.runtime.device
-    planner = part.settings.load_planner(device)
-    load_kernels(part, planner)  # on the CPU, since it plans nothing; the extractor is on the device
-    setup = wait_for_sensors(part, planner)
-    if setup is None or planner.extractor is None:
+    part, watch = Part("codes", session), Stopwatch(last=1)
+    if (found := mapper_of(part, watch, part.settings.runtime.device)) is None:
         return
-    encoder = encoder_on(device, planner.dynamics.eval().requires_grad_(False).encoder)
-    assert encoder is not None
-    freeze_loaded_objects()
-    waiting: dict[str, Image] = {}  # the newest of each camera, until the pose is known
-    feed, images = TrackFeed(part, planner.dynamics.vehicle.actuators), part.reader("images")
-    keyframes, took = Keyframes(setup.cameras, part.settings.runtime.replay), 0.0
+    mapper, feed = found  # its map stays empty
+
+    def pass_on(camera: str, at: float, codes: np.ndarray | None) -> None:
+        part.write("codes", packed({"camera": camera, "time": at, "codes": codes}))
+
+    mapper.pass_on = pass_on
+    images = part.reader("images")
     while not part.ending:
         if feed.update(part.now()):
-            keyframes = Keyframes(setup.cameras, part.settings.runtime.replay)
-            waiting.clear()
-        for values in images.new():
-            image = from_fields(Image, values)
-            part.dropped["images: replaced by a newer one"] += image.camera in waiting
-            if not feed.intake.ahead(image.camera, image.time):
-                waiting[image.camera] = image
-        part.dropped["images: overwritten"] = images.lost
-        due = [image for image in waiting.values() if not feed.track.awaits(image.time)]
-        for image in due:
-            del waiting[image.camera]
-            pose = feed.track.pose_at(image.time)
-            if pose is None or image.camera not in setup.cameras:
-                part.dropped["images: the pose at their stamp is unknown"] += 1
-                continue
-            found = None
-            if keyframes.due(image, pose):
-                began = time.monotonic()
-                try:
-                    pixels = setup.cameras[image.camera].rectifier(image.pixels)
-                    found = codes_of(pixels, planner.extractor.extract, encoder)
-                except PerceptionError as error:
-                    part.dropped[f"images: {error.what}"] += 1
-                    continue
-                took = time.monotonic() - began
-                keyframes.add(image.camera, image.time, pose, found, image.pixels[:0])
-            part.write("codes", packed({"camera": image.camera, "time": image.time, "codes": found}))
-        part.beat("ready", extract_ms=1e3 * took)
-        if not due:
+            mapper.restart()
+        newest = newest_of_each(part, feed, images, Image)
+        mapper.catch_up()
+        for image in newest:
+            mapper.image(image)
+        part.beat("ready", extract_ms=watch.last_ms("extract features"))
+        if not newest:
             time.sleep(0.01)
 
 
 def map_ground(session: Session) -> None:
     """Run the process that maps scans and codes."""
     part = Part("map", session)
-    planner = part.settings.load_planner()
-    load_kernels(part, planner)
-    setup = wait_for_sensors(part, planner)
-    if setup is None:
+    if (found := mapper_of(part, Stopwatch(last=1))) is None:
         return
-    encoder = planner.dynamics.eval().requires_grad_(False).encoder
-    feed, watch = TrackFeed(part, planner.dynamics.vehicle.actuators), Stopwatch(last=1)
-    mapper = OnlineMapper(setup, encoder, feed.track, part.settings.runtime.replay, watch)
-    mapper.dropped = part.dropped
-    freeze_loaded_objects()
+    mapper, feed = found
     scans, coded, took = part.reader("scans"), part.reader("codes"), 0.0
     course, fastest = NewestCourse(part), _WITHOUT_COURSE
     while not part.ending:
@@ -131,17 +122,11 @@ def map_ground(session: Session) -> None:
         for values in coded.new():
             mapper.coded(values["camera"], values["time"], values["codes"])
         before = mapper.scan_time
-        newest: dict[str, Cloud] = {}
-        for values in scans.new():
-            cloud = from_fields(Cloud, values)
-            part.dropped["scans: replaced by a newer one"] += cloud.lidar in newest
-            newest[cloud.lidar] = cloud
-        part.dropped["scans: overwritten"] = scans.lost
+        newest = newest_of_each(part, feed, scans, Cloud)
         began = time.monotonic()
         mapper.catch_up()
-        for cloud in newest.values():
-            if not feed.intake.ahead(cloud.lidar, cloud.time):
-                mapper.scan(cloud)
+        for cloud in newest:
+            mapper.scan(cloud)
         if mapper.scan_time > before:
             layers = _within_reach(mapper.layers(), feed.track, part, fastest)
             part.write("map", pack_layers(layers, scan_time=mapper.scan_time, image_time=mapper.state.image_time))

@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -22,6 +22,8 @@ from offpiste.runtime.estimator import VehicleTrack
 from offpiste.runtime.follower import MapState
 
 Measured = TypeVar("Measured", Image, Cloud)
+PassOn = Callable[[str, float, Float32[np.ndarray, "rows columns E"] | None], None]
+"""Function that takes the camera, stamp [s] and codes of an image; None if it is not a keyframe."""
 
 
 class Stopwatch:
@@ -38,6 +40,10 @@ class Stopwatch:
             yield
         finally:
             self._taken[stage].append(time.perf_counter() - began)
+
+    def last_ms(self, stage: str) -> float:
+        """Return the last time of a stage [ms]; 0 before the first."""
+        return 1e3 * self._taken[stage][-1] if self._taken[stage] else 0.0
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Return count, median and 95th percentile [ms], and total [s] of each stage."""
@@ -65,6 +71,10 @@ class OnlineMapper:
     """Updates the map of the ground around the vehicle from each message, with the poses of a track.
 
     The encoder of the model is None if it reads no features from cameras.
+
+    Attributes:
+        dropped: number of dropped messages by reason.
+        pass_on: called with each used image.
     """
 
     def __init__(
@@ -81,13 +91,13 @@ class OnlineMapper:
         self.uses_features = encoder is not None and sensors.extract is not None
         self._channels = encoder.size if encoder is not None and self.uses_features else 0
         self.dropped: Counter[str] = Counter()
+        self.pass_on: PassOn = lambda camera, time, codes: None
         self.restart()
 
     def restart(self) -> None:
         """Clear the map, which does not fit the poses to come."""
-        extract = self._codes if self.uses_features else _no_codes
         cameras = self._sensors.cameras if self.uses_features else {}
-        self._mapper = SensorMapper(cameras, self._sensors.lidars, extract, self._channels, self._settings)
+        self._mapper = SensorMapper(cameras, self._sensors.lidars, _no_codes, self._channels, self._settings)
         self.image_time = self.scan_time = -np.inf
         self._latest: dict[str, float] = {}
         self._scans: dict[str, Cloud] = {}
@@ -100,19 +110,24 @@ class OnlineMapper:
 
     def image(self, image: Image) -> None:
         """Extract features from an image if it is a keyframe; late images count with their own stamp."""
-        if not self.uses_features or image.camera not in self._sensors.cameras:
+        camera, extract, encoder = self._sensors.cameras.get(image.camera), self._sensors.extract, self._encoder
+        if camera is None or extract is None or encoder is None:
             return
         pose = self._pose(self._images, image.camera, image)
         if pose is None:
             return
-        if self._mapper.keyframes.due(image, pose):  # else features of the last keyframe, taken nearby, are still valid
+        codes = None
+        if self._mapper.keyframes.due(image, pose):  # else codes of the last keyframe, taken nearby, are still valid
             try:
                 with self._watch.of("extract features"):
-                    self._mapper.add_image(image, pose)
+                    pixels = camera.rectifier(image.pixels)
+                    codes = codes_of(pixels, extract, encoder)
             except PerceptionError as error:
                 self.dropped[f"images: {error.what}"] += 1
                 return
+            self._mapper.keyframes.add(image.camera, image.time, pose, codes, pixels)
         self.image_time = max(self.image_time, image.time)
+        self.pass_on(image.camera, image.time, codes)
 
     def coded(self, camera: str, time: float, codes: Float32[np.ndarray, "rows columns E"] | None) -> None:
         """Add the codes of an image computed elsewhere; None if it is not a keyframe."""
@@ -172,12 +187,6 @@ class OnlineMapper:
             return None
         self._latest[sensor] = time
         return pose
-
-    def _codes(self, pixels: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "rows columns E"]:
-        """Return the codes of an image, which the map holds instead of features."""
-        assert self._sensors.extract is not None
-        assert self._encoder is not None
-        return codes_of(pixels, self._sensors.extract, self._encoder)
 
 
 @torch.no_grad()
