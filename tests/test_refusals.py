@@ -55,19 +55,6 @@ def changed(key: str, new: Callable[[np.ndarray], Any]) -> Fault:
     return fault
 
 
-def cut(key: str, left: int | None) -> Fault:
-    """Shorten a chunk of an array, or remove the array."""
-
-    def fault(path: Path) -> None:
-        if left is None:
-            shutil.rmtree(path / "circle-3" / key)
-        else:
-            chunk = next(c for c in (path / "circle-3" / key / "c").rglob("*") if c.is_file())
-            chunk.write_bytes(chunk.read_bytes()[:left])
-
-    return fault
-
-
 def narrower(key: str) -> Fault:
     """Drop the last column of an array."""
 
@@ -124,7 +111,6 @@ NO_FEATURES = changed("cells/valid", np.zeros_like)
 NOT_FINITE = (
     r"drive 'circle-0' cannot be read \('state_causal' is not finite in 30 rows marked complete, the first.*row 100"
 )
-AGAIN = "drive 'circle-3' cannot be read.*delete {data}/circle-3 and run `offpiste extract` again"
 UNREADABLE = r"drive 'circle-0' cannot be read \("
 
 
@@ -145,9 +131,6 @@ UNREADABLE = r"drive 'circle-0' cannot be read \("
         ),
         (tilted(2.0), TRAIN_CF, "surface normals of the dataset are not unit vectors.*extract it again"),
         (tilted(np.nan), TRAIN_CF, "surface normals of the dataset are not unit vectors.*extract it again"),
-        (cut("cells/features", 50), EVALUATE, AGAIN),
-        (cut("state", 0), EVALUATE, AGAIN),
-        (cut("part", None), EVALUATE, AGAIN),
         (without_cells, EVALUATE, "none of the features"),
         (
             changed("part", lambda values: np.full_like(values, 2)),
@@ -174,9 +157,7 @@ UNREADABLE = r"drive 'circle-0' cannot be read \("
         (narrower("cells/valid"), EVALUATE, rf"{UNREADABLE}.*circle-0 and run `offpiste extract` again$"),
     ],
 )
-def test_a_fault_of_a_dataset(
-    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: Fault, command: str, why: str
-) -> None:
+def test_a_fault_of_a_dataset(good, tmp_path, capsys, fault, command, why):
     places = {"data": shutil.copytree(good, tmp_path / "broken.zarr"), "runs": good.parent, "out": tmp_path / "out"}
     fault(tmp_path / "broken.zarr")
     line = refusal(capsys, *command.format(**places).split())
@@ -187,15 +168,11 @@ def test_a_fault_of_a_dataset(
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        ("--model cf --codes 100000", "invalid --codes 100000; give a number from 1 to 256"),
         ("--model cf --pca 6", "reads 6 terrain features; the dataset has 5"),
-        ("--model cf --learning-rate nan", "invalid --learning-rate nan; give a number above 0"),
         ("--batch 5000", "fewer than a batch (5000)"),
     ],
 )
-def test_settings_out_of_range(
-    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: str, why: str
-) -> None:
+def test_settings_that_do_not_fit_the_dataset(good, tmp_path, capsys, words, why):
     assert why in refusal(capsys, "train", good, "--out", tmp_path / "run", *words.split())
     assert not (tmp_path / "run").exists(), "a folder that cannot be filled is not begun"
 
@@ -203,7 +180,8 @@ def test_settings_out_of_range(
 @pytest.mark.parametrize(
     ("settings", "why"),
     [
-        ({"codes": 0}, "invalid --codes 0; give a number from 1 to 256"),
+        *(({"codes": codes}, f"invalid --codes {codes}; give a number from 1 to 256") for codes in (0, 257)),
+        ({"learning_rate": float("nan")}, "invalid --learning-rate nan; give a number above 0"),
         ({"pca": -1}, "invalid --pca -1; give 0 or more"),
         *(({name: 0}, f"invalid --{name} 0") for name in ("batch", "stride", "epochs")),
         ({"seed": -1}, "invalid --seed -1"),
@@ -211,13 +189,13 @@ def test_settings_out_of_range(
         ({"weights": Weights(0.0, 0.0, 0.0, 0.0, 0.0)}, "loss weights"),
     ],
 )
-def test_impossible_settings(settings: dict, why: str) -> None:
+def test_impossible_settings(settings, why):
     refuse_impossible(TrainConfig(codes=1, pca=0, weights=Weights(yaw=0.0)))
     with pytest.raises(RunError, match=why):
         refuse_impossible(TrainConfig(**settings))
 
 
-def test_an_unknown_feature_set_is_wrong_usage(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_feature_set_is_wrong_usage(good, capsys):
     assert run("evaluate", good.parent / "cf", "--dataset", good, "--feature-set", "15") == 2
     assert "hindsight" in capsys.readouterr().err
 
@@ -241,7 +219,6 @@ def stated(entry: str, key: str, value: Any) -> Fault:
 
 
 ABOUT, WEIGHTS = "model.json", "model.safetensors"
-DAMAGED = f"{WEIGHTS}: is damaged: its checksum differs"
 UNUSABLE = "{run}/model.json: cannot be used ("
 
 
@@ -255,8 +232,7 @@ UNUSABLE = "{run}/model.json: cannot be used ("
         ),
         (lambda run: (run / ABOUT).write_text('{"model'), f"{ABOUT}: not a run"),
         (lambda run: (run / WEIGHTS).unlink(), f"{WEIGHTS}: cannot be read"),
-        (lambda run: (run / WEIGHTS).write_bytes((run / WEIGHTS).read_bytes()[:200]), DAMAGED),
-        (lambda run: (run / WEIGHTS).write_bytes(bytes(4000)), DAMAGED),
+        (lambda run: (run / WEIGHTS).write_bytes(bytes(4000)), f"{WEIGHTS}: is damaged: its checksum differs"),
         (weights_not_finite, "are not finite"),
         (
             lambda run: save_json(run / ABOUT, {**load_json(run / ABOUT), "pca": "one"}),
@@ -272,9 +248,7 @@ UNUSABLE = "{run}/model.json: cannot be used ("
         (stated("vehicle", "control", ["wings"]), f"{UNUSABLE}vehicle.control is impossible"),
     ],
 )
-def test_a_fault_of_a_run(
-    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: Fault, why: str
-) -> None:
+def test_a_fault_of_a_run(good, tmp_path, capsys, fault, why):
     run = Path(shutil.copytree(good.parent / "cf", tmp_path / "cf"))
     fault(run)
     assert why.replace("{run}", str(run)) in refusal(capsys, "evaluate", run, "--dataset", good)

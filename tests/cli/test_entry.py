@@ -30,15 +30,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_train_ends_with_the_next_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_train_ends_with_the_next_command(folder, capsys):
     dataset, out = folder / "dataset.zarr", folder / "b"
     assert run("train", dataset, "--out", out, *QUICK, "--resume") == 0
     assert capsys.readouterr().out.endswith(f"next: offpiste evaluate {out} --dataset {dataset}\n")
 
 
-def test_a_training_that_had_not_converged_says_how_to_go_on_and_is_compared_with_its_neighbours(
-    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_training_that_has_not_converged_says_how_to_go_on(folder, capsys, tmp_path, monkeypatch):
     dataset, out = folder / "dataset.zarr", tmp_path / "physics"
     quick = [*QUICK, "--model", "parametric", "--epochs", "2", "--constants-learning-rate", "1e-3", "--seed", "3"]
     assert run("train", dataset, "--out", out, *quick) == 0
@@ -53,7 +51,7 @@ def test_a_training_that_had_not_converged_says_how_to_go_on_and_is_compared_wit
     assert run(*shlex.split(compared)[2:]) == 0
 
 
-def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_evaluate_writes_report_and_metrics(folder, capsys):
     report = folder / "report"
     report.mkdir()
     for name in (".offpiste-report", "growth.png"):  # of an evaluation that was killed
@@ -73,16 +71,14 @@ def test_evaluate_writes_report_and_metrics(folder: Path, capsys: pytest.Capture
     assert ("–: no interval" in message) == (metrics["windows"]["blocks"] < 3)
 
 
-def test_inspect_prints_json_and_exits_with_1_where_a_log_is_unusable(
-    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_inspect_prints_json_and_exits_with_1_where_a_log_is_unusable(folder, capsys, tmp_path):
     assert run("inspect", folder / "drive.mcap", *RIG, "--json") == 0
     assert json.loads(capsys.readouterr().out)["usable"] is True
     (tmp_path / "still.csv").write_text("time,x,y\n" + "".join(f"{i / 50},0,0\n" for i in range(500)))
     assert run("inspect", tmp_path / "still.csv") == 1
 
 
-def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_extract_resumes_where_it_stopped(folder, capsys):
     assert run("extract", folder / "drive.mcap", *RIG, "--out", folder / "dataset.zarr") == 0
     assert "drive: already there" in capsys.readouterr().out
 
@@ -91,16 +87,11 @@ def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
     ("arguments", "message"),
     [
         (("inspect", "nothing.mcap"), "nothing.mcap: no such file or folder"),
-        (("inspect", ".", "--rig", "tartandrive9"), "tartandrive9: no such rig"),
-        (("extract", "nothing.csv", *RIG, "--out", "{tmp}/d.zarr"), "no such file or folder"),
-        (("extract", "{drive}", *RIG, "--out", "{tmp}/d.zarr", "--split", "random"), "not a split"),
         (("extract", "{drive}", "{drive}", *RIG, "--out", "{tmp}/d.zarr"), "two logs are called 'drive'"),
         (("extract", "{drive}", *RIG, "--out", "{dataset}", "--flat"), "another rig"),
         (("train", "{tmp}/nothing.zarr", "--out", "{tmp}/run"), "not a dataset"),
         (("train", "{dataset}", "--out", "{run}"), "holds a run that was begun with other settings"),
-        (("train", "{dataset}", "--out", "{tmp}/run", "--folds", "2"), "3 or more"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--device", "abacus"), "no device 'abacus'"),
-        (("train", "{dataset}", "--out", "{dataset}"), "holds files that are not of a run"),
         (("train", "{dataset}", "--out", "{tmp}/run", "--seed", "99999999999999999999"), "below 2^63"),
         (
             ("extract", "{drive}", *RIG, "--out", "{tmp}/d.zarr", "--keyframe-metres", "nan"),
@@ -114,18 +105,13 @@ def test_extract_resumes_where_it_stopped(folder: Path, capsys: pytest.CaptureFi
         (("check",), "nothing to check"),
         (("evaluate", "--dataset", "{dataset}"), "the runs are missing"),
         (("evaluate", "{run}b", "--dataset", "{dataset}"), "no such folder; did you mean '{run}'?"),
-        (("train", "{dataset}", "--out", "{tmp}/run", "--model", "parametrik"), "did you mean 'parametric'?"),
-        (("evaluate", "{tmp}", "--dataset", "{dataset}"), "not a run"),
-        (("evaluate", "{run}", "--dataset", "{tmp}"), "not a dataset"),
         *(
             ((*words, "--out", "{run}/model.json/more"), "is a file")
             for words in (("evaluate", "{run}", "--dataset", "{dataset}"), ("train", "{dataset}"), ("demo",))
         ),
     ],
 )
-def test_a_mistake_ends_in_one_line_and_exit_code_1(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
-) -> None:
+def test_a_mistake_ends_in_one_line_and_exit_code_1(folder, tmp_path, capsys, arguments, message):
     places = {
         "tmp": tmp_path, "drive": folder / "drive.mcap", "dataset": folder / "dataset.zarr", "run": folder / "b",
     }  # fmt: skip
@@ -133,15 +119,13 @@ def test_a_mistake_ends_in_one_line_and_exit_code_1(
     assert message.format(**places) in line
 
 
-def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_version_is_that_of_the_package(capsys):
     assert run("--version") == 0
     assert capsys.readouterr().out == f"offpiste {offpiste.__version__}\n"
 
 
 @pytest.mark.parametrize(("word", "meant"), [("fly", "Commands"), ("tr\nain", "did you mean 'train'? C")])
-def test_an_unknown_command_is_one_line_with_a_suggestion(
-    capsys: pytest.CaptureFixture[str], word: str, meant: str
-) -> None:
+def test_an_unknown_command_is_one_line_with_a_suggestion(capsys, word, meant):
     assert run(word, "--out", "x") == 2
     error = capsys.readouterr().err
     assert error.startswith("offpiste: unknown command '")
@@ -150,14 +134,14 @@ def test_an_unknown_command_is_one_line_with_a_suggestion(
     assert error.count("\n") == 1
 
 
-def test_a_pipe_that_is_closed_early_is_no_error() -> None:
+def test_a_pipe_that_is_closed_early_is_no_error():
     command = f"{sys.executable} -c 'from offpiste.cli import main; main()' train --help | head -1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=120)
     assert done.stdout.startswith("usage")
     assert not done.stderr
 
 
-def test_wrong_usage_shows_options_of_its_command_alone(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage_shows_options_of_its_command_alone(capsys):
     assert run("train") == 2
     assert run("demo", "--seedd", "3") == 2
     message = capsys.readouterr().err

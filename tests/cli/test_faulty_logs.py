@@ -13,7 +13,7 @@ from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.logs import open_log
 from offpiste.logs.ros.sensor_messages import message_from_points
 from point_clocks import DRIVERS, SWEEP, PointClock
-from sensor_bags import sensor_rig, stamp, transforms
+from sensor_bags import sensor_rig, stamp
 from sensor_drive import AROUND, RIG, STATIC, clouds, good_drive, images, poses, written
 
 
@@ -36,25 +36,15 @@ def extraction(folder: Path, pca: Path, out: Path, *logs: Path) -> tuple[object,
 
 
 NAN = np.full((50, 3), np.nan)
-ANOTHER_TREE = [(0.0, "/tf_static", transforms(("odom", "base", (0, 0, 0), (0, 0, 0, 1)))), STATIC[1]]
 BAD = {
-    "another tree": (
-        (ANOTHER_TREE, images(), clouds(), poses()),
-        r"no fixed transform joins 'camera' to 'base_link'; frames with transforms: base, odom; fix frames\.body",
-    ),
     "no calibration": (
         (STATIC[:1], images(), clouds(), poses()),
         r"'front': images without calibration: no topic '/info'; give cameras\.front\.intrinsics in the rig",
     ),
     "clouds of NaN": ((STATIC, images(), clouds(NAN), poses()), r"'top': 10 clouds have no usable point, one after"),
-    "no clouds": ((STATIC, images(), poses()), r"'top': no messages on topic '/points'; it has: .*optional = true"),
     "a clock of its own": (
         (STATIC, images(stamped=lambda t: t + 500), clouds(), poses()),
         r"'front' has no message from 100\.000 to 106\.000 s, where the pose is known; use clock\.stamps",
-    ),
-    "a drifting clock": (
-        (STATIC, images(stamped=lambda t: 1.1 * t), clouds(), poses()),
-        r"'front': stamps drift against the pose clock by 0\.\d+ s over the drive; use clock\.stamps = \"receive\"",
     ),
 }
 
@@ -85,10 +75,6 @@ NOTED = {
     ),
     "jumps": ((STATIC, images(), clouds(), poses(lambda t: 3.0 * (t > 3))), "poses jump once, 3.00 s after they start"),
     "late": ((STATIC, images(first=2.0), clouds(), poses()), "front: starts 2.0 s after the poses"),
-    "drift": (
-        (STATIC, images(stamped=lambda t: 1.02 * t), clouds(), poses()),
-        "front: stamps drift against the pose clock by 120 ms",
-    ),
 }
 
 
@@ -137,16 +123,14 @@ def log_of(clock: PointClock, path: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", DRIVERS)
-def test_a_drafted_rig_reads_the_times_of_points(name: str, tmp_path: Path) -> None:
+def test_a_drafted_rig_reads_the_times_of_points(name, tmp_path):
     log = open_log(log_of(DRIVERS[name], tmp_path / "log.mcap"))
     (lidar,) = sensor_rig(draft_sensors(log, "/odom")).lidars.values()
     assert {key: getattr(lidar, key) for key in DRIVERS[name].entries} == DRIVERS[name].entries
 
 
 @pytest.mark.parametrize(("name", "key"), [("Ouster", "time_unit"), ("Livox", "time_origin")])
-def test_a_wrong_unit_or_origin_is_one_finding_and_stops_extract(
-    name: str, key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], pca: Path
-) -> None:
+def test_a_wrong_unit_or_origin_is_one_finding_and_stops_extract(name, key, tmp_path, capsys, pca):
     clock, rig, log = DRIVERS[name], tmp_path / "rig.toml", log_of(DRIVERS[name], tmp_path / "log.mcap")
     right = clock.entries[key]
     extract, edit = extraction(tmp_path, pca, tmp_path / "d.zarr", log), f'lidars.top.{key} = "{right}"'

@@ -114,7 +114,7 @@ def trained(to: Path, *, spread: bool, on: str = "elsewhere.zarr") -> Path:
     return to
 
 
-def test_an_evaluation_leads_to_a_calibration_only_where_that_is_possible() -> None:
+def test_an_evaluation_leads_to_a_calibration_only_where_that_is_possible():
     data = Path("data.zarr")
     mine, other = trained(Path("runs/mine"), spread=False, on="data.zarr"), trained(Path("runs/other"), spread=False)
     ready = trained(Path("runs/ready"), spread=True)
@@ -131,19 +131,19 @@ def test_an_evaluation_leads_to_a_calibration_only_where_that_is_possible() -> N
         assert command_of(next_steps.after_evaluation(runs, data)) == expected
 
 
-def test_runs_that_cannot_be_exported_lead_to_one_that_can(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_runs_that_cannot_be_exported_lead_to_one_that_can(monkeypatch):
     ready = trained(Path("runs/ready"), spread=True)
     monkeypatch.setattr("offpiste.dynamics.kernels.coverage.uncovered", lambda dynamics: "another network")
     assert command_of(next_steps.after_runs([ready], Path("d.zarr"))) == "train d.zarr --model b --out runs/b"
 
 
-def test_a_shard_leads_to_the_merge_of_all(dataset: Dataset) -> None:
+def test_a_shard_leads_to_the_merge_of_all(dataset):
     options = Extract(("a.csv",), "dart", Path("part-1.zarr"), shard="1/2")
     merge = "merge part-1.zarr ... --out dataset.zarr"
     assert command_of(next_steps.after_extraction(options, dataset)) == merge
 
 
-def test_a_dataset_leads_to_the_same_training_after_merge_and_view(dataset: Dataset) -> None:
+def test_a_dataset_leads_to_the_same_training_after_merge_and_view(dataset):
     viewed = next_steps.after_view(View(dataset.path, rig="dart"))
     for line in (next_steps.after_dataset(dataset, dataset.path), viewed):
         model = "dc" if dataset.pca else "parametric"
@@ -151,11 +151,11 @@ def test_a_dataset_leads_to_the_same_training_after_merge_and_view(dataset: Data
     assert command_of(next_steps.after_view(View(dataset.path, run_folder=B))).startswith(f"drive {B}")
 
 
-def test_a_viewed_log_leads_to_its_extraction() -> None:
+def test_a_viewed_log_leads_to_its_extraction():
     line = next_steps.after_view(View(Path("drive.mcap"), rig="dart", pca=Path("pca.safetensors")))
     assert command_of(line) == "extract drive.mcap --rig dart --pca pca.safetensors --out dataset.zarr"
 
 
-def test_places_in_object_stores_keep_their_slashes() -> None:
+def test_places_in_object_stores_keep_their_slashes():
     line = next_steps.next_line("extract", Path("s3://b/1.mcap"), "s3://b/2.mcap", "--rig", "dart", "--out", "d.zarr")
     assert command_of(line) == "extract s3://b/1.mcap s3://b/2.mcap --rig dart --out d.zarr"

@@ -35,7 +35,7 @@ def edit(file: str | Path, old: str, new: str) -> None:
     Path(file).write_text(re.sub(old, new, Path(file).read_text("utf-8")), "utf-8")
 
 
-def test_each_command_leads_to_the_next(capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_command_leads_to_the_next(capsys):
     words = ["inspect", LOG]
     for expected in (["--write-rig", "my.toml"], ["--rig", "my.toml"], ["--rig", "my.toml", "--out", "dataset.zarr"]):
         line = said(capsys, *words)[-1]
@@ -46,9 +46,7 @@ def test_each_command_leads_to_the_next(capsys: pytest.CaptureFixture[str]) -> N
     assert Path("dataset.zarr").is_dir()
 
 
-def test_warnings_lead_to_a_cured_rig_and_what_no_line_cures_is_to_be_mended(
-    log: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_warnings_lead_to_a_cured_rig_and_what_no_line_cures_is_to_be_mended(log, capsys):
     run("inspect", LOG, "--write-rig", "my.toml")
     edit("my.toml", r'fields = \["delta"\]', 'fields = ["delta"]\nsign = -1')
     edit("my.toml", "GUESSED", "measured")
@@ -64,22 +62,20 @@ def test_warnings_lead_to_a_cured_rig_and_what_no_line_cures_is_to_be_mended(
     assert following.startswith("next: offpiste extract")
 
 
-def test_a_preset_of_another_vehicle_leads_to_a_first_rig(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_preset_of_another_vehicle_leads_to_a_first_rig(capsys):
     following = said(capsys, "inspect", LOG, "--rig", "tartandrive2", code=1)[-1]
     assert following == f"next: offpiste inspect '{LOG}' --write-rig my.toml"
 
 
 @pytest.mark.parametrize(("header", "more"), [("t,a,b,c", " --rig my.toml"), ("t,ecef_x,ecef_y,ecef_z", "")])
-def test_without_a_pose_the_next_step_is_one_that_works(
-    log: str, capsys: pytest.CaptureFixture[str], header: str, more: str
-) -> None:
+def test_without_a_pose_the_next_step_is_one_that_works(log, capsys, header, more):
     Path("other.csv").write_text(log.replace("t,x,y,yaw", header), "utf-8")
     first, following = said(capsys, "inspect", "other.csv", code=1)[-2:]
     assert first.startswith("first: ")
     assert following == f"next: offpiste inspect other.csv{more}"
 
 
-def test_a_time_that_no_name_shows_is_named(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_time_that_no_name_shows_is_named(log, capsys):
     header, *rows = log.splitlines()
     assert header.startswith("t,")
     kept = [row for number, row in enumerate(rows) if number % 7 not in (2, 3, 5)]
@@ -97,9 +93,7 @@ def test_a_time_that_no_name_shows_is_named(log: str, capsys: pytest.CaptureFixt
         assert f"{option} is for a log without a rig" in why
 
 
-def test_a_column_that_cannot_be_read_is_said_to_be_and_not_to_be_missing(
-    log: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_column_that_cannot_be_read_is_said_to_be_and_not_to_be_missing(log, capsys):
     lines = log.splitlines()
     at = lines[0].split(",").index("delta")
     cells = lines[200].split(",")
@@ -115,7 +109,7 @@ def test_a_column_that_cannot_be_read_is_said_to_be_and_not_to_be_missing(
     assert "no field looks like it" not in printed.err
 
 
-def test_a_given_rig_is_written_with_its_comments(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_given_rig_is_written_with_its_comments(capsys):
     run("inspect", LOG, "--write-rig", "old.toml")
     edit("old.toml", r"\A", "# ours\n")
     again = ("inspect", LOG, "--rig", "old.toml", "--write-rig", "new.toml")
@@ -126,7 +120,7 @@ def test_a_given_rig_is_written_with_its_comments(capsys: pytest.CaptureFixture[
     assert rig_text("dart").startswith("# DART")
 
 
-def test_a_folder_of_logs_is_inspected_log_by_log(log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_of_logs_is_inspected_log_by_log(log, tmp_path, capsys):
     Path("drive 0.csv").write_text(log, "utf-8")
     Path("notes.pdf").touch()
     assert run("inspect", tmp_path) == 0
@@ -142,7 +136,7 @@ def test_a_folder_of_logs_is_inspected_log_by_log(log: str, tmp_path: Path, caps
     assert error.endswith(f"offpiste inspect {shlex.quote(str(tmp_path))}")
 
 
-def test_an_extraction_with_another_rig_gets_another_name(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_extraction_with_another_rig_gets_another_name(capsys):
     run("inspect", LOG, "--write-rig", "my.toml")
     run("extract", LOG, "--rig", "my.toml", "--out", "dataset.zarr")
     for mass, proposed in ((r"\g<0>", "dataset.zarr"), ("mass = 901.0", "dataset-2.zarr")):
@@ -150,7 +144,7 @@ def test_an_extraction_with_another_rig_gets_another_name(capsys: pytest.Capture
         assert said(capsys, "inspect", LOG, "--rig", "my.toml")[-1].endswith(f"--out {proposed}")
 
 
-def test_findings_are_shown_although_no_rig_can_be_drafted(capsys: pytest.CaptureFixture[str]) -> None:
+def test_findings_are_shown_although_no_rig_can_be_drafted(capsys):
     Path("no pose.csv").write_text("time,a\n" + "".join(f"{0.02 * row:.2f},{row % 7}\n" for row in range(600)))
     assert run("inspect", "no pose.csv", "--write-rig", "my.toml") == 1
     printed = capsys.readouterr()
@@ -170,6 +164,6 @@ def test_findings_are_shown_although_no_rig_can_be_drafted(capsys: pytest.Captur
         (errno.EIO, "my.toml: cannot be used: Input/output error; give another path"),
     ],
 )
-def test_errors_of_the_operating_system_are_one_line(number: int, message: str) -> None:
+def test_errors_of_the_operating_system_are_one_line(number, message):
     assert str(user_error_of(OSError(number, os.strerror(number), "my.toml"))).startswith(message)
     assert user_error_of(OSError(errno.EIO, "no device")) is None

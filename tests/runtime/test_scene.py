@@ -20,7 +20,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
     return offpiste.open_log(drive_with_sensors(tmp_path_factory.mktemp("scene") / "drive.mcap"))
 
 
-def test_a_scene_holds_no_measurement_from_after_its_last_row(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scene_holds_no_measurement_from_after_its_last_row(log, monkeypatch):
     moments = []
 
     def recorded(*arguments: object, **options: object) -> object:
@@ -40,13 +40,13 @@ def test_a_scene_holds_no_measurement_from_after_its_last_row(log: Log, monkeypa
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(0.0, "no complete history"), (-1.0, "no scan"), (9.0, "poses end")])
-def test_a_time_without_a_scene_is_refused(log: Log, seconds: float, said: str) -> None:
+def test_a_time_without_a_scene_is_refused(log, seconds, said):
     planner = offpiste.load_planner("pretrained:proving-ground/b")
     with pytest.raises(LogError, match=said):
         offpiste.read_scene(log, offpiste.load_rig("proving_ground"), planner, seconds)
 
 
-def test_the_gear_of_the_log_is_that_of_its_rows() -> None:
+def test_the_gear_of_the_log_is_that_of_its_rows():
     rows = circle_rows(100)
     forward = scene.track_of(rows, CONTROL, 50)
     control = np.concatenate((rows.control_causal, np.full((100, 1), -1, np.float32)), axis=1)
