@@ -84,6 +84,7 @@ SLOW = (
 SMOKE = (
     "exports/test_onnx_files.py::test_images_become_the_codes", "live/test_live_faults.py::test_a_clock_that_stands",
     "live/test_live_faults.py::test_a_drive_with_every_process", "live/test_live_faults.py::test_a_drive_ends_by",
+    "live/test_live_faults.py::test_the_last_command_is_a_stop_whichever_process_ends_first[]",
     "reproduction/test_reproduce.py::test_every_size_can_be_started",
     "experiments/closed_loop_table/test_command_line.py",
     "core/test_cluster.py::test_a_cluster_that_does_not", "test_bombs.py::test_every_compression",

@@ -7,10 +7,11 @@ import numpy as np
 import torch
 
 import sensor_bags
+from offpiste.live.command_messages import path_message
 from offpiste.live.reception import CourseRequest
 from offpiste.live.session import LiveSettings
 from offpiste.logs.ros.sensor_messages import message_from_points
-from offpiste.logs.ros.writer import McapWriter, header, make, quaternion, vector
+from offpiste.logs.ros.writer import McapWriter, header, make
 from offpiste.planning import mppi
 from offpiste.planning.controls import PEDAL_LIMITS
 from offpiste.rig.rig import parse_rig
@@ -116,11 +117,13 @@ def small_settings():
 
 def path(frame, stamp=START, end=9.0):
     """A straight nav_msgs/Path."""
-    turn, head = quaternion((0, 0, 0, 1)), header(stamp, frame)
-    poses = [make("geometry_msgs/Pose", position=vector((x, 0, 0), "geometry_msgs/Point"), orientation=turn)
-             for x in (0.0, end)]  # fmt: skip
-    stamped = [make("geometry_msgs/PoseStamped", header=head, pose=pose) for pose in poses]
-    return make("nav_msgs/Path", header=head, poses=stamped)
+    return path_message(np.array(((0.0, 0.0, 0.0), (end, 0.0, 0.0))), np.zeros(2), stamp, frame)
+
+
+def joy(stamp, *buttons):
+    """A sensor_msgs/Joy with these buttons."""
+    pressed = np.array(buttons, np.int32)
+    return make("sensor_msgs/Joy", header=header(stamp, ""), axes=np.zeros(0, np.float32), buttons=pressed)
 
 
 def odometry(seconds, x=0.0, speed=0.0):

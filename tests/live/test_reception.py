@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from live.synthetic_robot import CLOUD, ENABLE, ODOMETRY, RIG, START, Robot, cloud, live_settings, odometry, path, rig
+from live.synthetic_robot import ENABLE, ODOMETRY, RIG, START, Robot, cloud, joy, live_settings, odometry, path, rig
 from offpiste.core.conventions import ACTUATORS
 from offpiste.core.errors import LiveError
 from offpiste.core.geometry import local_from_geographic
@@ -130,9 +130,7 @@ def test_a_course_to_a_goal_begins_at_the_vehicle_once_it_is_elsewhere():
 )
 def test_a_switch_has_the_age_of_its_stamp(stamp, received, age):
     reception = Reception(rig(ENABLE + 'field = "buttons[0]"\n'), CourseRequest(topic="/plan"), cameras=False)
-    buttons, axes = np.ones(1, np.int32), np.zeros(0, np.float32)
-    joy = make("sensor_msgs/Joy", header=header(stamp, ""), axes=axes, buttons=buttons)
-    (taken,) = reception.take("/enable", joy, received)
+    (taken,) = reception.take("/enable", joy(stamp, 1), received)
     assert taken.pressed
     assert taken.age == pytest.approx(age, nan_ok=True)
 
@@ -224,7 +222,8 @@ def test_the_state_names_late_optional_sensors_and_refused_messages(tmp_path, ne
         wrong = network.session((file,)).publisher("/odom", "my_msgs/msg/Odd")
         assert receiver.state.startswith("waits for readings")
         assert until(lambda: wrong(odd) or "; refused: /odom: unknown type my_" in receiver.state)
-        robot, rear = Robot(network.session(), scans=1), network.session().publisher("/rear", CLOUD)
+        session = network.session()
+        robot, rear = Robot(session, scans=1), session.publisher("/rear", "sensor_msgs/msg/PointCloud2")
 
         def is_ready():
             robot.publish(next(seconds))

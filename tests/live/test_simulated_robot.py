@@ -10,8 +10,8 @@ import pytest
 from cli.command import refusal
 from offpiste.closed_loop.courses import choose_course
 from offpiste.live import simulated_robot
+from offpiste.live.command_messages import joy_message
 from offpiste.live.simulated_robot import COURSE, RemoteCommands, SimulatedRobot
-from offpiste.logs.ros.writer import header, make
 from offpiste.simulation.world.build import make_world
 from offpiste.simulation.world.world import WorldSettings
 from offpiste.transport.received import Received
@@ -42,8 +42,7 @@ def test_it_publishes_its_messages_and_follows_commands(place, monkeypatch):
     monkeypatch.setattr(simulated_robot, "OWN_STOP", 60.0)  # for a busy machine
     transport, before = recorded(), threads()
     robot = SimulatedRobot(transport, *place, "light", 0)
-    axes, buttons = np.array((0.4, 0.0, 0.1)), np.zeros(0, np.int32)
-    transport.decode.return_value = make("sensor_msgs/Joy", header=header(0, ""), axes=axes, buttons=buttons)
+    transport.decode.return_value = joy_message(0, np.array((0.4, 0.0, 0.1)))
     transport.subscribe.call_args.args[1](Received("/command", "sensor_msgs/msg/Joy", b"", 0.0))
     driving = robot.drive(0.5)
     assert len(driving.samples) == 25

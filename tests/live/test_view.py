@@ -5,6 +5,7 @@ import signal
 import socket
 import time
 from contextlib import closing, contextmanager
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -85,20 +86,20 @@ def test_known_cells_of_the_map_have_their_values_and_colours():
     assert len(np.unique(ground.colours, axis=0)) == 2
 
 
-def test_a_slow_viewer_is_shown_the_newest_messages(tmp_path):
-    viewer = Mock(spec=Viewer)
-    viewer.pose.side_effect = lambda _: time.sleep(0.3)
+def test_a_slow_viewer_is_shown_the_newest_messages(tmp_path, monkeypatch):
+    viewer, steady = Mock(spec=Viewer), [0.0]
+    monkeypatch.setattr("offpiste.live.view.time", SimpleNamespace(monotonic=lambda: steady[0]))
+
+    def takes_long(_):
+        steady[0] += 0.3
+
+    viewer.pose.side_effect = takes_long
     with showing(tmp_path, viewer) as (part, shown):
-        began, written = time.monotonic(), 0
-        while time.monotonic() - began < 1.5:
-            for _ in range(10):
-                written += 1
-                feed(part.session, float(written))
-            shown.update()
-        times = [at for at, _ in lines_of(viewer, "plan")]
-    assert 2 <= len(times) <= written / 10
-    assert all(time % 10 == 0 for time in times), "the newest available ones"
-    assert times == sorted(set(times))
+        for written in range(1, 51):
+            feed(part.session, float(written))
+            if written % 10 == 0:
+                shown.update()
+    assert [at for at, _ in lines_of(viewer, "plan")] == [10, 20, 30, 40, 50], "the newest available ones"
 
 
 def test_a_restarted_viewer_writes_another_file(tmp_path, monkeypatch):
@@ -114,7 +115,7 @@ def test_a_restarted_viewer_writes_another_file(tmp_path, monkeypatch):
     assert begun.read_bytes() == b"of the killed one"
 
 
-def test_the_viewers_process_names_a_taken_port_and_is_restarted_if_it_hangs(tmp_path, network):
+def test_the_viewers_process_names_a_taken_port_and_is_restarted_if_it_dies(tmp_path, network):
     pytest.importorskip("rerun")
     port = free_port()
     settings = live_settings(tmp_path, network=network, view="rerun", view_at=f"127.0.0.1:{port}")
@@ -133,10 +134,8 @@ def test_the_viewers_process_names_a_taken_port_and_is_restarted_if_it_hangs(tmp
             assert states[-1].endswith("), and is started again")
             taken.close()
             assert until(lambda: comes("shows it in Rerun"), 120), states[-1]
-            pid, restarts = supervisor._processes["view"].pid, supervisor.restarts["view"]
-            os.kill(pid, signal.SIGSTOP)
-            assert until(lambda: comes("gives no sign of life"), 10), states[-1]
-            os.kill(pid, signal.SIGKILL)
+            restarts = supervisor.restarts["view"]
+            os.kill(supervisor._processes["view"].pid, signal.SIGKILL)
             assert until(lambda: comes("shows it in Rerun") and supervisor.restarts["view"] == restarts + 1, 120)
         finally:
             supervisor.end()

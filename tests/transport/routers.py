@@ -24,12 +24,12 @@ def until(condition, seconds=5.0, every=0.01):
 
 
 class Network:
-    """A router, and sessions that are closed with it."""
+    """A router, unless one is at the given endpoint, and sessions that are closed with it."""
 
-    def __init__(self, **settings):
-        self.port, self._settings, self._stack = free_port(), settings, ExitStack()
-        self.endpoint = f"tcp/127.0.0.1:{self.port}"
-        self.router = self.session(mode="router")
+    def __init__(self, endpoint="", **settings):
+        self._settings, self._stack = settings, ExitStack()
+        self.endpoint = endpoint or f"tcp/127.0.0.1:{free_port()}"
+        self.router = None if endpoint else self.session(mode="router")
 
     def session(self, definitions=(), **settings):
         given = {"endpoint": self.endpoint, **self._settings, **settings}

@@ -7,37 +7,26 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from offpiste.logs.ros.sensor_messages import message_from_points
+from live.synthetic_robot import ACKERMANN, cloud, odometry, tree
 from offpiste.logs.ros.writer import header, make
-from offpiste.simulation.messages import image_message, mountings_message, odometry_message
-from offpiste.simulation.sample import Pose
+from offpiste.simulation.messages import image_message
 from offpiste.transport.message_types import MessageTypes
-from synthetic_drive import samples
 from transport.routers import Network, until
-
-ACKERMANN = "ackermann_msgs/msg/AckermannDriveStamped"
 
 
 def messages():
     """A message of each kind, by topic."""
-    points = np.zeros(1000, np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")]))
-    points["x"] = np.arange(1000)
-    mounting = Pose(np.array((1.0, 2.0, 3.0)), np.array((0.0, 0.0, 0.0, 1.0)))
     picture = np.random.default_rng(0).integers(0, 255, (48, 64, 3)).astype(np.uint8)
-    return {
-        "/odom": odometry_message(samples(0.1)[0], 5 * 10**9),
-        "/tf_static": mountings_message({"camera": mounting}, 10**9),
-        "/image/compressed": image_message(picture, 10**9, "camera"),
-        "/points": message_from_points(points, 10**9, "lidar"),
-    }
+    image = image_message(picture, 10**9, "camera")
+    return {"/odom": odometry(5.0), "/tf_static": tree(), "/image/compressed": image, "/points": cloud(0.0)}
 
 
-def other_side(port, publishing, ready, done, heard):
+def other_side(endpoint, publishing, ready, done, heard):
     """Publish like a robot until `done`, and pass on received commands."""
     os.environ["ZENOH_CONFIG_OVERRIDE"] = 'listen/endpoints=["tcp/127.0.0.1:0"]'
     from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
 
-    types, publishers = MessageTypes(), []
+    types, publishers, port = MessageTypes(), [], int(endpoint.rpartition(":")[2])
     for topic, message in publishing.items():
         name = message.__msgtype__
         publisher = ROS2Publisher(
@@ -71,7 +60,7 @@ def network():
 def robot(network):
     context = multiprocessing.get_context("spawn")
     ready, done, heard = context.Event(), context.Event(), context.Queue()
-    process = context.Process(target=other_side, args=(network.port, messages(), ready, done, heard), daemon=True)
+    process = context.Process(target=other_side, args=(network.endpoint, messages(), ready, done, heard), daemon=True)
     process.start()
     assert ready.wait(60)
     yield heard

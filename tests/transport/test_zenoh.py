@@ -115,13 +115,15 @@ def test_invalid_messages_are_refused_and_counted(network):
     }
 
 
-def test_a_router_that_comes_back_is_found_again(network):
-    client = network.session()
+def test_a_router_that_comes_back_is_found_by_publishers_and_subscribers(network):
+    speaker, listener, got = network.session(), network.session(), []
+    listener.subscribe("/a", got.append)
+    publish = speaker.publisher("/a", STRING)
     network.router.close()
-    assert until(lambda: client.routers() == 0)
+    assert until(lambda: speaker.routers() == listener.routers() == 0)
     network.router = network.session(mode="router")
-    assert serves(network.router, client)
-    assert client.routers() == 1
+    assert until(lambda: publish(text("x")) or got, 10.0)
+    assert speaker.routers() == listener.routers() == 1
 
 
 def test_a_missing_router_and_a_second_one_are_refused(network):
