@@ -10,7 +10,7 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 import numpy as np
 
@@ -42,13 +42,8 @@ _AHEAD: Final = -0.05
 _MAPPING: Final = 0.1
 """Time from a scan's arrival to its use in the map [s]."""
 Level = Literal["ok", "warning", "error"]
-
-
-class Finding(NamedTuple):
-    """Result of one check."""
-
-    level: Level
-    what: str
+Finding = tuple[Level, str]
+"""Level and description of the result of a check."""
 
 
 def examined(
@@ -63,45 +58,45 @@ def examined(
     yield from _computer()
     try:
         rig, cameras = load_rig(rig_name), True
-        yield Finding("ok", f"rig '{rig.name}'")
+        yield "ok", f"rig '{rig.name}'"
         unreadable = [*_errors(VehicleMessages, rig)]
         yield from unreadable
         if not rig.lidars:
-            yield Finding("error", "the rig has no LiDAR, which mapping requires")
+            yield "error", "the rig has no LiDAR, which mapping requires"
         if not rig.outputs:
-            yield Finding("warning", "the rig has no [outputs]: only shadow mode is possible")
+            yield "warning", "the rig has no [outputs]: only shadow mode is possible"
         elif rig.live.enable is None:
-            yield Finding("warning", "the rig has no [live.enable]: commands are sent without a dead man's switch")
+            yield "warning", "the rig has no [live.enable]: commands are sent without a dead man's switch"
         if run:
             found, cameras = _model(rig, run, pca)
             yield from found
         transport = ZenohTransport(robot, rig.live.definitions)
     except OffpisteError as error:
-        yield Finding("error", str(error))
+        yield "error", str(error)
         return
     with closing(transport):
-        yield Finding("ok", f"connected, {transport.routers()} router{'s' * (transport.routers() != 1)}")
+        yield "ok", f"connected, {transport.routers()} router{'s' * (transport.routers() != 1)}"
         wrong = [*_errors(check_types, rig, transport.types), *_errors(CommandMessages, rig, transport.types)]
         yield from wrong
         for output in [] if wrong else rig.outputs.values():
-            yield Finding("ok", f"{output.topic}: {output.type} can be sent")
+            yield "ok", f"{output.topic}: {output.type} can be sent"
         if not unreadable:
             yield from _Listener(rig, transport, cameras=cameras).findings(seconds, clock)
 
 
 def _computer() -> Iterator[Finding]:
     versions = ", ".join(f"{name} {version(name)}" for name in ("offpiste", "eclipse-zenoh", "rosbags", "torch"))
-    yield Finding("ok", f"{versions}, Python {platform.python_version()}")
+    yield "ok", f"{versions}, Python {platform.python_version()}"
     cores = usable_cores()
     few = f"{cores} cores: plans and maps will be late; use {_CORES} or more"
-    yield Finding("warning", few) if cores < _CORES else Finding("ok", f"{cores} cores")
+    yield ("warning", few) if cores < _CORES else ("ok", f"{cores} cores")
     free = free_memory() / 1e9
-    yield Finding("ok" if free > _FREE_MEMORY else "warning", f"{free:.1f} GB of memory are free")
+    yield "ok" if free > _FREE_MEMORY else "warning", f"{free:.1f} GB of memory are free"
     shared = Path("/dev/shm")
     room = shutil.disk_usage(shared).free / 1e9 if shared.is_dir() else 0.0
     much = room > _SHARED_MEMORY
     hint = "" if much else "; in a container, give it more: --shm-size 1g"
-    yield Finding("ok" if much else "error", f"{room:.1f} GB of shared memory are free{hint}")
+    yield "ok" if much else "error", f"{room:.1f} GB of shared memory are free{hint}"
 
 
 def _errors(check: Callable[..., object], *arguments: object) -> Iterator[Finding]:
@@ -109,7 +104,7 @@ def _errors(check: Callable[..., object], *arguments: object) -> Iterator[Findin
     try:
         check(*arguments)
     except OffpisteError as error:
-        yield Finding("error", str(error))
+        yield "error", str(error)
 
 
 def _model(rig: Rig, run: str, pca: Path | None) -> tuple[list[Finding], bool]:
@@ -117,10 +112,10 @@ def _model(rig: Rig, run: str, pca: Path | None) -> tuple[list[Finding], bool]:
     try:
         planner = load_planner(run, pca)
     except OffpisteError as error:
-        return [Finding("error", str(error))], True
-    found = [Finding("ok", f"run {run}: {planner.name}"), *_errors(refuse_unmeasured, planner, rig)]
+        return [("error", str(error))], True
+    found = [("ok", f"run {run}: {planner.name}"), *_errors(refuse_unmeasured, planner, rig)]
     if (apart := differing_vehicle(planner.dynamics.vehicle, rig.vehicle)) is not None:
-        found.append(Finding("warning", f"the model was trained on another vehicle: {apart}"))
+        found.append(("warning", f"the model was trained on another vehicle: {apart}"))
     return found, planner.extractor is not None
 
 
@@ -171,12 +166,12 @@ class _Listener:
             time.sleep(0.02)
         stamped, published = clock == "system" and self._rig.clock.stamps != "receive", self._transport.topics()
         for topic in self._needed:
-            yield Finding(*self._of(topic, seconds, stamped, published))
+            yield self._of(topic, seconds, stamped, published)
         yield from self._short_timeouts(seconds, stamped)
         for topic in self._commands - set(self._vehicle.topics):
             if self._all[topic].types:
                 what = "another publisher commands; with --drive the vehicle would be stopped"
-                yield Finding("warning", f"{topic}: {what}")
+                yield "warning", f"{topic}: {what}"
         self._sensors.settle()
         unusable, refused = self._vehicle.dropped + self._sensors.dropped, self._transport.refused
         wrong = [self._wrong_switch] if self._wrong_switch else []
@@ -184,7 +179,7 @@ class _Listener:
         wrong += [f"refused {number} times: {what}" for what, number in sorted(refused.items())]
         if self._sensors.waiting_for:
             wrong.append(f"sensors cannot be set up: {self._sensors.waiting_for}")
-        yield from (Finding("error", what) for what in wrong)
+        yield from (("error", what) for what in wrong)
 
     def _deliver(self, received: Received) -> None:
         """Queue a message; called in the transport's thread."""
@@ -222,9 +217,9 @@ class _Listener:
             timeouts = self._rig.live.timeouts
             if short := [f"live.timeouts.{name}" for name in names if getattr(timeouts, name) < oldest]:
                 what = f"{heard.count / seconds:.1f} Hz, so after a lost message the newest is {oldest:g} s old"
-                yield Finding("warning", f"{topic}: {what}: increase {' and '.join(short)}")
+                yield "warning", f"{topic}: {what}: increase {' and '.join(short)}"
 
-    def _of(self, topic: str, seconds: float, stamped: bool, published: dict[str, str]) -> tuple[Level, str]:
+    def _of(self, topic: str, seconds: float, stamped: bool, published: dict[str, str]) -> Finding:
         """Return the level and the description of what was heard on a topic; `published` are types by topic."""
         heard = self._all[topic]
         if not heard.types:

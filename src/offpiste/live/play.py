@@ -129,14 +129,6 @@ class RecordedDrive:
         return stamp + round(latest * 1e9) if 0 < latest < _LATEST else 0
 
 
-class Played(NamedTuple):
-    """Number of steps and messages played, and the maximum delay of a step [s]."""
-
-    steps: int
-    messages: int
-    late: float
-
-
 class LogPlayer:
     """Publish the messages of a log in real time, and /clock after each step.
 
@@ -157,8 +149,12 @@ class LogPlayer:
         self.left_out = tuple(sorted(set(drive.types) - set(self._publish)))
         self._clock = transport.publisher(CLOCK, "rosgraph_msgs/msg/Clock")
 
-    def play(self, rate: float, seconds: float) -> Played:
-        """Play at most so many seconds of the log, at a rate relative to the recording."""
+    def play(self, rate: float, seconds: float) -> tuple[int, int, float]:
+        """Play at most so many seconds of the log, at a rate relative to the recording.
+
+        Returns:
+            Number of steps and messages played, and the maximum delay of a step [s].
+        """
         if not 0 < rate <= 100:
             raise LiveError(f"invalid rate {rate:g}", where="--rate", how="give a rate above 0, and at most 100")
         began, late, messages, steps = time.monotonic(), 0.0, 0, 0
@@ -174,7 +170,7 @@ class LogPlayer:
             self._clock(clock_message(step.time))
             steps += 1
         time.sleep(0.2)  # until the last message is sent
-        return Played(steps, messages, late)
+        return steps, messages, late
 
 
 def clock_message(nanoseconds: int) -> Any:
@@ -196,5 +192,5 @@ def play_log(
         if player.left_out:
             logger.info(f"left out: {', '.join(player.left_out)}")
         freeze_loaded_objects()
-        played = player.play(rate, seconds)
-    logger.info(f"played {played.messages} messages in {played.steps} steps, {1e3 * played.late:.0f} ms late at worst")
+        steps, messages, late = player.play(rate, seconds)
+    logger.info(f"played {messages} messages in {steps} steps, {1e3 * late:.0f} ms late at worst")

@@ -4,7 +4,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -50,14 +50,8 @@ _KEPT: Final = 64
 _USED: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity", "yaw_rate")
 Sensors = tuple[dict[str, Camera], dict[str, Lidar]]
 """Cameras and LiDARs by name."""
-
-
-class _Source(NamedTuple):
-    """Channel of a topic, and the getters of its fields."""
-
-    name: str
-    entry: ChannelSource
-    getters: tuple[Callable[[object], float], ...]
+_Source = tuple[str, ChannelSource, tuple[Callable[[object], float], ...]]
+"""Name and entry of a channel, and the getters of its fields."""
 
 
 class VehicleMessages:
@@ -85,7 +79,7 @@ class VehicleMessages:
             if (entry := rig.channels.get(name)) is not None:
                 named = zip(entry.fields, entry.joints, strict=True) if entry.joints else ()
                 getters = tuple(joint_getter(*each) for each in named) or tuple(map(field_getter, entry.fields))
-                self._sources.setdefault(entry.topic, []).append(_Source(name, entry, getters))
+                self._sources.setdefault(entry.topic, []).append((name, entry, getters))
         self.position_topic = rig.channels["position"].topic
         self.topics = tuple(self._sources)
         self.frame: str | None = None
