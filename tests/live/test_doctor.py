@@ -15,7 +15,7 @@ from offpiste.live import doctor
 from offpiste.live.doctor import examined
 from offpiste.logs.ros.writer import make
 from offpiste.transport.zenoh_transport import ZenohSettings
-from transport.routers import Network, free_port
+from transport.routers import Network
 
 LISTENS = 1.2
 """Time to listen [s]: more than a busy machine needs for the first message."""
@@ -150,9 +150,3 @@ def test_headers_without_a_stamp_are_named(tmp_path, monkeypatch):
     monkeypatch.setattr(doctor, "heard_at", lambda *given: math.nan)
     said = errors(found(tmp_path))
     assert any("/odom: nav_msgs/msg/Odometry, " in what and "its header has no stamp" in what for what in said)
-
-
-def test_a_missing_router_is_named(tmp_path):
-    robot = ZenohSettings(endpoint=f"tcp/127.0.0.1:{free_port()}")
-    findings = list(examined(write_rig(tmp_path), "", None, robot, 0.1, "system"))
-    assert "no connection" in errors(findings)[-1]
