@@ -36,23 +36,20 @@ class RowGrid:
         """Planar states at the rows."""
         return estimate_motion(self.drive, self.time)
 
-    def channel(self, name: str) -> Float[np.ndarray, " N"]:
-        """Return a channel of one field at the rows; NaN in gaps and for an absent channel."""
-        channel = self._measured(name, causal=False)
-        if channel is None:
-            return np.full(len(self.time), np.nan)
-        source = self.drive.rig.channels.get(name)
-        control = control_of(name)
-        hold = (source is not None and source.holds) or (control is not None and control.discrete)
-        gap = self.drive.rig.clock.max_gap
-        return (channel.hold if hold else channel.linear)(self.time, max_gap=gap)[:, 0]
+    def channel(self, name: str, *, causal: bool) -> Float[np.ndarray, " N"]:
+        """Return a channel of one field at the rows; NaN in gaps and for an absent channel.
 
-    def channel_causal(self, name: str) -> Float[np.ndarray, " N"]:
-        """Return a channel of one field from samples stamped at or before each row."""
-        channel = self._measured(name, causal=True)
+        Args:
+            causal: use only samples stamped at or before each row.
+        """
+        channel, gap = self._measured(name, causal=causal), self.drive.rig.clock.max_gap
         if channel is None:
             return np.full(len(self.time), np.nan)
-        return channel.latest(self.time, max_gap=self.drive.rig.clock.max_gap)[:, 0]
+        if causal:
+            return channel.latest(self.time, max_gap=gap)[:, 0]
+        source, control = self.drive.rig.channels.get(name), control_of(name)
+        hold = (source is not None and source.holds) or (control is not None and control.discrete)
+        return (channel.hold if hold else channel.linear)(self.time, max_gap=gap)[:, 0]
 
     def _measured(self, name: str, *, causal: bool) -> Channel | None:
         """Return a channel of the log or the derivative that replaces it; None if the log has neither."""
@@ -100,7 +97,5 @@ COLUMNS: Final[Registry[Column]] = Registry("column", package=__name__, error=Da
 
 def channel_column(name: str, *segments: Segment) -> Column:
     """Return a column of a channel with one field, causal if windows read only its past and start."""
-    channel = RowGrid.channel_causal if set(segments) <= {"past", "start"} else RowGrid.channel
-    return Column(
-        read=lambda grid: channel(grid, name), present=lambda rig: name in rig.channels, segments=tuple(segments)
-    )
+    causal = set(segments) <= {"past", "start"}
+    return Column(lambda grid: grid.channel(name, causal=causal), (), lambda rig: name in rig.channels, segments)

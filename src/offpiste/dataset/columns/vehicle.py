@@ -22,10 +22,9 @@ def _actuators(rig: Rig) -> list[tuple[str, bool]]:
 
 def _register(name: str, of: Callable[[Rig], list[tuple[str, bool]]], count: int, *segments: Segment) -> None:
     """Register a column of several channels, causal if its name says so."""
-    channel = RowGrid.channel_causal if name.endswith("_causal") else RowGrid.channel
 
     def read(grid: RowGrid) -> np.ndarray:
-        return np.column_stack([channel(grid, each) for each, _ in of(grid.drive.rig)])
+        return np.column_stack([grid.channel(each, causal=name.endswith("_causal")) for each, _ in of(grid.drive.rig)])
 
     COLUMNS.register(name)(Column(read, (count,), lambda rig: [present for _, present in of(rig)], segments))
 
