@@ -50,8 +50,8 @@ class ChangingMap:
             elevation = np.where(mixed % 5 > 0, mixed / 4.0, np.nan)
             slope = np.where(mixed % 7 > 1, mixed / 100.0, np.nan)
             normal = np.column_stack((0 * slope, np.sin(slope), np.cos(slope)))
-            numbers = (part.astype(np.float32) for part in (elevation, mixed / 2.0, normal, value[:, None]))
-            return MapCells(np.isfinite(elevation), valid, *numbers)
+            numbers = (part.astype(np.float32) for part in (elevation, normal, value[:, None], mixed / 2.0))
+            return MapCells(*numbers, np.isfinite(elevation), valid)
 
         return read
 

@@ -41,7 +41,7 @@ def read_cells(  # type: ignore[no-untyped-def]
     Args:
         rows, columns: of the cells, inside the map [wanted].
         radius, size: as in `fit_planes`; the other arguments are those of `write_layers`.
-        layers: elevation, normal, features, distance, known, valid.
+        layers: of `voxels_to_layers.MapCells`, in their order.
     """
     fit_planes.plain(0, cells, radius, size, grids, cells, border)
     values = _values(rows, columns, floor, limit, offsets, grids, border, features, start_x, start_y)

@@ -46,17 +46,12 @@ class FlattenSettings:
 class MapCells(NamedTuple):
     """Values of `TerrainLayers` at K cells; NaN where unknown."""
 
-    known: np.ndarray
-    valid: np.ndarray
     elevation: np.ndarray
-    distance: np.ndarray
     normal: np.ndarray
     features: np.ndarray
-
-
-def make_map_cells(count: int, channels: int) -> MapCells:
-    """Return the layers' values at some unknown cells."""
-    return MapCells(*(nothing_known(name, (count,), channels) for name in MapCells._fields))
+    distance: np.ndarray
+    known: np.ndarray
+    valid: np.ndarray
 
 
 def flatten(voxel_map: VoxelMap, settings: FlattenSettings | None = None) -> TerrainLayers:
@@ -88,6 +83,7 @@ class Flattener:
         self._map = voxel_map
         size, n = voxel_map.settings.size, voxel_map.cells
         self._plane_cells = max(1, round(settings.plane_radius / size))
+        self._plane = self._plane_cells, size
         self._overhang_cells = round(settings.overhang_radius / size)
         self._offsets = neighbour_offsets(settings.fill_radius / size)
         fill_cells = int(np.abs(self._offsets).max())
@@ -104,30 +100,34 @@ class Flattener:
         n, threads = voxel_map.cells, voxel_map.settings.threads
         out = out or empty_layers(n, voxel_map.channels)
         arrays = [getattr(out, layer.name) for layer in LAYERS]
-        if any(
-            a.shape != nothing_known(of.name, (n, n), voxel_map.channels).shape
-            for a, of in zip(arrays, LAYERS, strict=True)
-        ):
+        if any(array.shape[:2] != (n, n) for array in arrays) or out.features.shape[2] != voxel_map.channels:
             raise ValueError("these are layers of another map")
-        self._find_whole_ground()
+        if self._is_stale:
+            self._find_ground(self._whole, threads)
+            spread_blocks(threads, n, fit_planes, *self._plane, *self._sized_grids)
+            self._since = voxel_map.changes
         spread_blocks(threads, n, smooth_residuals, self._plane_cells, *self._sized_grids)
         spread_blocks(threads, n, write_layers, *self._filling, *arrays)
         return replace(out, origin=voxel_map.origin, resolution=voxel_map.settings.size)
 
     def cells(self, rows: Int[np.ndarray, " K"], columns: Int[np.ndarray, " K"]) -> MapCells:
         """Return the layers' values at some cells, in a fraction of the time of `layers`."""
-        n, out = self._map.cells, make_map_cells(len(rows), self._map.channels)
+        n, channels = self._map.cells, self._map.channels
+        out = MapCells(*(nothing_known(name, (len(rows),), channels) for name in MapCells._fields))
         rows, columns = np.ascontiguousarray(rows, np.int64), np.ascontiguousarray(columns, np.int64)
         if not len(rows):
             return out
         if rows.shape != columns.shape or min(rows.min(), columns.min()) < 0 or max(rows.max(), columns.max()) >= n:
             raise ValueError(f"cells lie outside the map of {n} x {n}")
-        if self._since < self._map.changes or not self._map.changes:
+        if self._is_stale:
             self._find_ground(find_spans(rows, columns, self._margin, n), 1)
-        plane = self._plane_cells, self._map.settings.size
-        order = out.elevation, out.normal, out.features, out.distance, out.known, out.valid
-        read_cells(rows, columns, len(rows), *plane, *self._filling, *order)
+        read_cells(rows, columns, len(rows), *self._plane, *self._filling, *out)
         return out
+
+    @property
+    def _is_stale(self) -> bool:
+        """Whether the map changed since `layers` found the ground and planes of all columns."""
+        return self._since < self._map.changes or not self._map.changes
 
     @property
     def _reference(self) -> int:
@@ -150,15 +150,6 @@ class Flattener:
         floor, offsets = self._reference * self._map.settings.size, self._offsets
         frame = floor, self.settings.feature_height, offsets, len(offsets), *self._sized_grids
         return *frame, self._surface.features, self._map.channels, *self._start
-
-    def _find_whole_ground(self) -> None:
-        """Update ground and planes of all columns if the map changed."""
-        if self._since < self._map.changes or not self._map.changes:
-            threads, n = self._map.settings.threads, self._map.cells
-            self._find_ground(self._whole, threads)
-            plane = self._plane_cells, self._map.settings.size
-            spread_blocks(threads, n, fit_planes, *plane, *self._sized_grids)
-            self._since = self._map.changes
 
     def _find_ground(self, spans: Int[np.ndarray, "n 2"], threads: int) -> None:
         """Update ground, obstacles and feature heights of the columns in spans; values near their ends may be wrong."""

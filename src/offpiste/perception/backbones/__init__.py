@@ -7,10 +7,10 @@ import hashlib
 import json
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -107,15 +107,8 @@ def _unit_range(pixels: Shaped[Tensor, "B h w 3"]) -> Float[Tensor, "B 3 h w"]:
     return planes
 
 
-class MakeBackbone(Protocol):
-    """Factory of a backbone without files, such as a class whose `__init__` takes the device."""
-
-    def __call__(self, *, device: torch.device) -> Backbone:
-        """Return the backbone."""
-
-
-BACKBONES: Final[Registry[MakeBackbone]] = Registry("backbone", package=__name__, error=PerceptionError)
-"""Registered backbones; vision transformers are opened by the name of their weights."""
+BACKBONES: Final[Registry[Callable[..., Backbone]]] = Registry("backbone", package=__name__, error=PerceptionError)
+"""Backbones without files, such as a class whose `__init__` takes the `device`, by name."""
 
 
 def open_backbone(name: str = DINOV2_SMALL, *, device: str = "cpu") -> Backbone:
