@@ -27,6 +27,7 @@ from offpiste.rig.camera import CameraModel
 SECTORS: Final = 8
 FREE: Final = 2  # widest gap between nearer points that still occludes a point [sectors]
 NEAREST = 0.2  # smallest depth of projected points [m]
+_CELL: Final = 2  # size of a cell of the z-buffer [px]
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def project(
         model, grid, free = this.camera.model, this.camera.grid, this.camera.free
         camera_from_world = inverse(this.world_from_camera)
         points = camera_from_world[:3, :3] @ world + camera_from_world[:3, 3:]
-        index, pixels = _in_image(points, model)
+        index, pixels = project_to_pinhole(points.T, model)
         x, y, z = points.take(index, axis=1)
         visible = ~occluded_points(
             pixels,
@@ -122,10 +123,11 @@ def project(
     return out
 
 
-def _in_image(
-    points: Float[np.ndarray, "3 n"], pinhole: CameraModel
+def project_to_pinhole(
+    points_camera: Float[np.ndarray, "n 3"], pinhole: CameraModel
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 2"]]:
-    matrix, (width, height) = pinhole.matrix, pinhole.size
+    """Return indices and pixels of the points inside an image without distortion."""
+    points, matrix, (width, height) = np.asarray(points_camera, np.float64).T, pinhole.matrix, pinhole.size
     ahead = np.flatnonzero(points[2] > NEAREST)  # also drops NaN
     x, y, z = points.take(ahead, axis=1)  # several times faster than an index
     across = matrix[0, 0] * x / z + matrix[0, 1] * y / z + matrix[0, 2]
@@ -134,20 +136,12 @@ def _in_image(
     return ahead[inside], np.stack((across[inside], down[inside])).T
 
 
-def project_to_pinhole(
-    points_camera: Float[np.ndarray, "n 3"], pinhole: CameraModel
-) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 2"]]:
-    """Return indices and pixels of the points inside an image without distortion."""
-    return _in_image(np.asarray(points_camera, np.float64).T, pinhole)
-
-
 def occluded_points(
     pixels: Float[np.ndarray, "n 2"],
     depth: Float[np.ndarray, " n"],
     size: tuple[int, int],
     *,
     reach: float,
-    cell: int = 2,
     relative: float = 0.06,
     absolute: float = 0.3,
 ) -> Bool[np.ndarray, " n"]:
@@ -158,18 +152,17 @@ def occluded_points(
         depth: along the optical axis, positive [m].
         size: width and height of the image [px].
         reach: half of the window with occluding points, about the spacing of a LiDAR's rings [px].
-        cell: size of a cell of the z-buffer [px].
         relative, absolute: occluding points are nearer by more than relative * depth + absolute [m].
     """
     if not len(pixels):
         return np.zeros(0, dtype=bool)
-    window = _window(max(1, int(np.ceil(reach / cell))))
+    window = _window(max(1, int(np.ceil(reach / _CELL))))
     rows, columns = window.shape
-    width, height = (length // cell + 1 for length in size)
+    width, height = (length // _CELL + 1 for length in size)
     # An empty margin, so that no window leaves the z-buffer.
     nearest = np.full((height + rows - 1, width + columns - 1), np.inf)
     last = np.array([[width - 1], [height - 1]])
-    column, row = np.clip(np.floor((pixels.T + 0.5) / cell).astype(np.int64), 0, last)
+    column, row = np.clip(np.floor((pixels.T + 0.5) / _CELL).astype(np.int64), 0, last)
     first = row * nearest.shape[1] + column
     np.minimum.at(nearest.reshape(-1), first + rows // 2 * (nearest.shape[1] + 1), depth)
     found = np.empty(len(depth), np.int64)
