@@ -57,19 +57,17 @@ def find_passes(
     last = when[np.append(np.flatnonzero(begins)[1:] - 1, len(when) - 1)] if len(when) else when
     before = np.where(np.append(False, again[:-1]), np.append(-np.inf, last[:-1]), -np.inf)
 
-    rank = np.argsort(np.argsort(contact, kind="stable"), kind="stable")
+    sort = np.argsort(contact, kind="stable")
+    of, contact, end, before = of[sort], contact[sort], end[sort], before[sort]
     index = np.full((len(time), 4), -1, np.int32)
     flat = np.empty(len(order), np.int64)
-    flat[order] = rank[number]
+    flat[order] = np.argsort(sort)[number]
     index[known] = flat.reshape(-1, 4)
-    sort = np.argsort(contact, kind="stable")
-    centre = (cells[of[sort]] + 0.5) * resolution
-    approach = _farthest(time[known], xy[known], centre, before[sort], contact[sort])
-    contact, end = contact[sort], end[sort]
+    approach = _farthest(time[known], xy[known], (cells[of] + 0.5) * resolution, before, contact)
     edges = np.concatenate(([-np.inf], jumps[:, 1], [np.inf]))
     stretch = np.searchsorted(jumps[:, 1], contact, side="right")
     approach, end = np.maximum(approach, edges[stretch]), np.minimum(end, edges[stretch + 1])
-    return Passes(cells[of[sort]], approach, contact, end, index)
+    return Passes(cells[of], approach, contact, end, index)
 
 
 def _farthest(
