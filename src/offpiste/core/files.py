@@ -65,7 +65,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
             partial.unlink(missing_ok=True)
 
 
-def write_folder(path: Path, write: Callable[[Path], None]) -> None:
+def write_folder(path: Path, write: Callable[[Path], object]) -> None:
     """Write a folder, which must not be the current one, beside its final path and move it there when complete."""
     refuse_url(path)
     if path.resolve() == Path.cwd():

@@ -24,8 +24,8 @@ class Terrain:
     known: Bool[Tensor, "*batch 4"]  # validity of the normals
     latent: Float[Tensor, "*batch 4 E"]  # encoded features, missing ones filled; E = 0 for models without features
 
-    def rows(self, part: slice) -> "Terrain":
-        """Select rows of a batch whose fields are [B, R, 4, ...]."""
+    def rows(self, part: slice | int) -> "Terrain":
+        """Select rows of a batch whose fields are [B, R, 4, ...]; one row gives [B, 4, ...]."""
         return Terrain(self.normal[:, part], self.known[:, part], self.latent[:, part])
 
     @staticmethod
@@ -90,4 +90,4 @@ class RecordedTerrain:
 
     def at(self, t: int, state: Float[Tensor, "B 6"]) -> Terrain:
         """Return row `t`; `state` is ignored."""
-        return Terrain(self.terrain.normal[:, t], self.terrain.known[:, t], self.terrain.latent[:, t])
+        return self.terrain.rows(t)

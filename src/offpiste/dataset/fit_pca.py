@@ -52,13 +52,6 @@ class FittedPca(NamedTuple):
     images: list[ListedImage]
 
 
-class Candidate(NamedTuple):
-    """Candidate image for the PCA and its `image_statistics`."""
-
-    image: ListedImage
-    statistics: Float[np.ndarray, " k"]
-
-
 @dataclass(frozen=True)
 class Job:
     """Search for candidate images in a log, or computation of the chosen images' features."""
@@ -96,12 +89,12 @@ def fit_pca(
     jobs = [Job(log, rig, split, backbone) for log in logs]
     do = partial(run_all, processes=at_a_time(processes), cluster=cluster, finished=lambda _: None)
     found = do(_find_images, jobs, description="finding images").checked()
-    candidates = [(job, candidate) for job, of_a_log in zip(jobs, found, strict=True) for candidate in of_a_log]
+    candidates = [(job, *candidate) for job, of_a_log in zip(jobs, found, strict=True) for candidate in of_a_log]
     if not candidates:
         raise PerceptionError("no image in the training part", how="give logs with cameras, or another --split")
-    statistics = np.stack([candidate.statistics for _, candidate in candidates])
+    statistics = np.stack([each for _, _, each in candidates])
     chosen = [candidates[i] for i in most_diverse(statistics, images, seed=seed)]
-    mine = [frozenset(candidate.image for of, candidate in chosen if of is job) for job in jobs]
+    mine = [frozenset(image for of, image, _ in chosen if of is job) for job in jobs]
     jobs = [replace(job, images=listed) for job, listed in zip(jobs, mine, strict=True) if listed]
     moments = Moments.none(backbone.channels)
     for part in do(_read_features, jobs, description="features of the chosen images").checked():
@@ -113,7 +106,7 @@ def fit_pca(
     }
     pca = fit(moments, backbone, components=components, **about)
     logger.info(f"{len(chosen)} of {len(candidates)} images, {moments.count:.0f} patches of ground")
-    return FittedPca(pca, [candidate.image for _, candidate in chosen])
+    return FittedPca(pca, [image for _, image, _ in chosen])
 
 
 def _moment(stamp: float) -> float:
@@ -121,7 +114,8 @@ def _moment(stamp: float) -> float:
     return round(float(stamp), 6)
 
 
-def _find_images(job: Job, report: Report) -> list[Candidate]:
+def _find_images(job: Job, report: Report) -> list[tuple[ListedImage, Float[np.ndarray, " k"]]]:
+    """Return the candidate images of a log and their `image_statistics`."""
     with brought(job.log) as path:
         log, name = open_log(path, clock=job.rig.clock), drive_name(job.log)
         sensors = open_sensors(log, job.rig)
@@ -129,7 +123,7 @@ def _find_images(job: Job, report: Report) -> list[Candidate]:
         rows = extract_rows(drive_from_log(log, job.rig))
         training = job.split.label(name, rows.world_xy) == 0
         return [
-            Candidate(ListedImage(name, image.camera, _moment(image.time)), image_statistics(image.pixels))
+            (ListedImage(name, image.camera, _moment(image.time)), image_statistics(image.pixels))
             for image in _spaced_images(sensors, rows, training, report)
         ]
 

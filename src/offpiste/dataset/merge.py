@@ -43,11 +43,11 @@ def merge_datasets(parts: Sequence[Path], out: Path) -> Dataset:
         refuse_unlike(out, read_settings(out), settings[0])
         remove_partials(out)
     else:
-        write_folder(out, partial(_copy, parts[0], ("zarr.json", CHECKSUMS)))
+        write_folder(out, partial(_copy_settings, parts[0]))
     for name, part in track(list(where.items()), "merge"):
         sums = [folder / name / CHECKSUMS for folder in (out, part)]
         if not (out / name).exists():
-            write_folder(out / name, partial(_copy, part / name, None))
+            write_folder(out / name, partial(shutil.copytree, part / name, dirs_exist_ok=True))
         elif not sums[0].exists() or sums[0].read_bytes() != sums[1].read_bytes():
             how = "choose another --out, or delete it"
             raise DatasetError(f"contains another drive '{name}' than {part}", where=out, how=how)
@@ -58,9 +58,6 @@ def merge_datasets(parts: Sequence[Path], out: Path) -> Dataset:
     return dataset
 
 
-def _copy(folder: Path, names: Sequence[str] | None, to: Path) -> None:
-    """Copy named files of a folder, or all of it."""
-    if names is None:
-        shutil.copytree(folder, to, dirs_exist_ok=True)
-    for name in names or ():
+def _copy_settings(folder: Path, to: Path) -> None:
+    for name in ("zarr.json", CHECKSUMS):
         shutil.copyfile(folder / name, to / name)
