@@ -1,4 +1,4 @@
-"""Small vehicles, windows, logs and rigs that tests of several stages share."""
+"""Small vehicles, windows, logs, rigs, maps and datasets that tests of several stages share."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -18,6 +18,7 @@ from offpiste.dataset.store import Dataset, StoredDrive, add_drive, create, open
 from offpiste.dynamics import Hybrid, Vehicle
 from offpiste.dynamics.feature_encoder import Identity
 from offpiste.logs.log import Log, Samples, Topic
+from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.rig.rig import Rig, parse_rig
 
 torch.set_num_threads(1)
@@ -184,6 +185,15 @@ fields = ["steer"]
 def small_rig(more: str = "") -> Rig:
     """A rig that reads `MemoryLog`s; `more` is TOML to append."""
     return parse_rig(RIG + more, where="small.toml")
+
+
+def tilted_map(
+    rise: tuple[float, float], shape: tuple[int, int], origin: tuple[float, float], resolution: float
+) -> TerrainMap:
+    """The plane z = rise[0] x + rise[1] y; feature 0 is the number of a cell's column, feature 1 that of its row."""
+    row, column = np.mgrid[: shape[0], : shape[1]].astype(float)
+    z = rise[0] * (origin[0] + resolution * column) + rise[1] * (origin[1] + resolution * row)
+    return TerrainMap(np.array(origin), resolution, z, np.stack((column, row), axis=-1).astype(np.float32))
 
 
 class MemoryLog(Log):

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from factories import circle_rows, small_rig, stored_dataset
+from factories import circle_rows, small_rig, stored_dataset, tilted_map
 from offpiste.dataset.ground_truth_features import with_ground_truth
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
@@ -13,15 +13,12 @@ from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
 from offpiste.training.prediction import encoded, on_map
 from offpiste.training.run import build, vehicle_of
 
-NAMES = ("column", "row", "constant")
+NAMES = ("column", "row")
 
 
-def truth(shape=(800, 700), resolution=0.25) -> TerrainMap:
-    """A tilted plane around the circles of `circle_rows`; features tell the cell."""
-    row, column = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
-    origin = np.array([20.0, -140.0])
-    z = 0.2 * (origin[0] + resolution * column) - 0.1 * (origin[1] + resolution * row)
-    return TerrainMap(origin, resolution, z, np.stack((column, row, np.full(shape, 0.5)), axis=-1).astype(np.float32))
+def truth(shape: tuple[int, int] = (800, 700)) -> TerrainMap:
+    """A plane around the circles of `circle_rows`."""
+    return tilted_map((0.2, -0.1), shape, (20.0, -140.0), 0.25)
 
 
 def made(path: Path, split: str = "blocks:0.5,0.25,0.25") -> Dataset:
@@ -37,7 +34,7 @@ def test_cells_are_those_under_the_wheels_each_once():
     cells = grounded.rows.cells
     places = wheel_positions(rows.state[:, :2] + rows.origin, rows.state[:, 2], rig.wheel_positions())
     wanted = np.round((places - truth().origin) / truth().resolution)
-    np.testing.assert_array_equal(cells.features[0, cells.index, :2], wanted)
+    np.testing.assert_array_equal(cells.features[0, cells.index], wanted)
     assert len(np.unique(cells.features[0], axis=0)) == cells.features.shape[1]
     # Numbered by first visit.
     first = [np.flatnonzero((cells.index == n).any(axis=1))[0] for n in range(cells.features.shape[1])]

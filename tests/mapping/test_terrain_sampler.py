@@ -8,6 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from factories import tilted_map
 from offpiste.mapping.terrain_map import TerrainMap, wheel_positions
 from offpiste.mapping.terrain_sampler import MapTerrain, sample_maps, stack_maps
 from planning_maps import layers
@@ -15,13 +16,8 @@ from planning_maps import layers
 WHEELS = np.array([[1.0, 0.7], [1.0, -0.7], [-1.2, 0.6], [-1.2, -0.6]])
 
 
-def plane(
-    rise_x: float, rise_y: float, *, shape=(30, 50), origin=(10.0, -20.0), resolution=0.5, features=2
-) -> TerrainMap:
-    """z = rise_x x + rise_y y; feature 0 is the column's number, feature 1 the row's."""
-    y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
-    z = rise_x * (origin[0] + resolution * x) + rise_y * (origin[1] + resolution * y)
-    return TerrainMap(np.array(origin), resolution, z, np.stack((x, y), axis=-1)[..., :features].astype(np.float32))
+def plane(rise_x: float, rise_y: float, *, shape=(30, 50), origin=(10.0, -20.0), resolution=0.5) -> TerrainMap:
+    return tilted_map((rise_x, rise_y), shape, origin, resolution)
 
 
 def found_at(maps, places, number=0):

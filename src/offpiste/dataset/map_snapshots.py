@@ -39,13 +39,14 @@ class CellList:
     """Known cells of a map."""
 
     origin: Float[np.ndarray, " 2"]  # x, y of the centre of cell [0, 0] of the map [m]
+    resolution: float  # size of a cell [m]
     shape: tuple[int, int]  # rows and columns of the map
     place: Int32[np.ndarray, " C"]  # row * columns + column
     elevation: Float32[np.ndarray, " C"]  # [m]
     rise: Float16[np.ndarray, "C 2"]  # slope towards +x and +y; NaN where unknown
     features: Float16[np.ndarray, "C F"]  # NaN where missing
 
-    def terrain_map(self, resolution: float) -> TerrainMap:
+    def terrain_map(self) -> TerrainMap:
         """Return the map, NaN in all other cells."""
         ny, nx = self.shape
 
@@ -54,18 +55,18 @@ class CellList:
             full[self.place] = values
             return full.reshape(ny, nx, *values.shape[1:])
 
-        rise = spread(self.rise)
-        return TerrainMap(self.origin, resolution, spread(self.elevation), spread(self.features), rise)
+        layers = spread(self.elevation), spread(self.features), spread(self.rise)
+        return TerrainMap(self.origin, self.resolution, *layers)
 
-    def near(self, path: Float[np.ndarray, "P 2"], margin: float, resolution: float) -> "CellList":
+    def near(self, path: Float[np.ndarray, "P 2"], margin: float) -> "CellList":
         """Return the cells within `margin` [m] of points of the world, on the smallest grid that holds them."""
         cell = np.stack(np.divmod(self.place, self.shape[1]), axis=-1)
-        kept = cdist(self.origin + resolution * cell[:, ::-1], path).min(axis=1) <= margin
+        kept = cdist(self.origin + self.resolution * cell[:, ::-1], path).min(axis=1) <= margin
         low = cell[kept].min(axis=0, initial=max(self.shape))
         ny, nx = (cell[kept].max(axis=0, initial=0) - low + 1).clip(min=1).tolist()
         place = ((cell[kept] - low) @ [nx, 1]).astype(np.int32)
-        origin = self.origin + resolution * low[::-1]
-        return CellList(origin, (ny, nx), place, self.elevation[kept], self.rise[kept], self.features[kept])
+        origin, layers = self.origin + self.resolution * low[::-1], (self.elevation, self.rise, self.features)
+        return CellList(origin, self.resolution, (ny, nx), place, *(layer[kept] for layer in layers))
 
 
 def crop(terrain: TerrainMap, state: Float[np.ndarray, " 6"], margin: float = MARGIN) -> CellList:
@@ -85,6 +86,7 @@ def crop(terrain: TerrainMap, state: Float[np.ndarray, " 6"], margin: float = MA
     assert near.rise is not None
     return CellList(
         near.origin,
+        near.resolution,
         (ny, nx),
         (row * nx + column).astype(np.int32),
         near.elevation[row, column].astype(np.float32),
@@ -93,8 +95,9 @@ def crop(terrain: TerrainMap, state: Float[np.ndarray, " 6"], margin: float = MA
     )
 
 
-def stack_cells(cells: Sequence[CellList], resolution: float, *, device: torch.device | str = "cpu") -> CellStack:
-    """Stack maps as tensors for lookups."""
+def stack_cells(cells: Sequence[CellList], *, device: torch.device | str = "cpu") -> CellStack:
+    """Stack maps of one resolution as tensors for lookups."""
+    assert len({c.resolution for c in cells}) == 1, "maps of one resolution are needed"
     ny, nx = (max(c.shape[axis] for c in cells) for axis in (0, 1))
     place = np.full((len(cells), ny, nx), -1, np.int32)
     first = np.cumsum([0] + [len(c.place) for c in cells])
@@ -108,9 +111,8 @@ def stack_cells(cells: Sequence[CellList], resolution: float, *, device: torch.d
     origin = torch.as_tensor(np.stack([c.origin for c in cells]), dtype=torch.float64)
     last = last_cells([c.shape for c in cells])
     origin, last, where = (each.to(device) for each in (origin, last, torch.from_numpy(place)))
-    return CellStack(
-        resolution, origin, last, where, listed([c.rise for c in cells]), listed([c.features for c in cells])
-    )
+    lists = listed([c.rise for c in cells]), listed([c.features for c in cells])
+    return CellStack(cells[0].resolution, origin, last, where, *lists)
 
 
 @dataclass(frozen=True)
@@ -228,11 +230,11 @@ class Snapshots:
         except (OSError, ValueError, zstd.ZstdError) as error:
             how = "delete its drive and run `offpiste extract` again"
             raise DatasetError(f"snapshot {number} is damaged ({error})", where=self.folder, how=how) from error
-        return CellList(self.origin[number], (ny, nx), **read)
+        return CellList(self.origin[number], self.resolution, (ny, nx), **read)
 
     def load(self, number: int) -> TerrainMap:
         """Read the map of snapshot `number`."""
-        return self.known_cells(number).terrain_map(self.resolution)
+        return self.known_cells(number).terrain_map()
 
 
 def open_snapshots(folder: Path) -> Snapshots:

@@ -74,7 +74,8 @@ class WindowMaps:
             number[have] = place.ravel()
             if self._latest is None or not np.array_equal(self._latest[0], different):
                 self._latest = None  # first, so that memory holds one stack at a time
-                self._latest = different, self._stacked([self._load(*key) for key in different.tolist()])
+                cells = [self._load(*key) for key in different.tolist()]
+                self._latest = different, stack_cells(cells, device=self._device)
             return self._latest[1], number
         if self._latest is None:
             maps = {n: load() for n in np.unique(self._drive) if (load := self._drives[n].load_map) is not None}
@@ -88,18 +89,11 @@ class WindowMaps:
 
     def near(self, index: Int[np.ndarray, " B"], paths: Float[np.ndarray, "B P 2"], margin: float) -> CellStack:
         """Return one map for each of some windows with a snapshot: the cells within `margin` of a path [m]."""
-        cells = []
-        keys = zip(self._drive[index].tolist(), self._snapshot[index].tolist(), strict=True)
-        for key, path in zip(keys, paths, strict=True):
-            known, resolution = self._load(*key)
-            cells.append((known.near(path, margin, resolution), resolution))
-        return self._stacked(cells)
+        of = zip(self._drive[index].tolist(), self._snapshot[index].tolist(), paths, strict=True)
+        cells = [self._load(drive, snapshot).near(path, margin) for drive, snapshot, path in of]
+        return stack_cells(cells, device=self._device)
 
-    def _load(self, drive: int, snapshot: int) -> tuple[CellList, float]:
+    def _load(self, drive: int, snapshot: int) -> CellList:
         snapshots = self._drives[drive].snapshots
         assert snapshots is not None
-        return snapshots.known_cells(snapshot), snapshots.resolution
-
-    def _stacked(self, cells: list[tuple[CellList, float]]) -> CellStack:
-        assert len({resolution for _, resolution in cells}) == 1, "maps of one resolution are needed"
-        return stack_cells([known for known, _ in cells], cells[0][1], device=self._device)
+        return snapshots.known_cells(snapshot)
