@@ -18,8 +18,8 @@ from offpiste.logs.sensor_log import open_sensors
 from offpiste.mapping.pipeline import MapSettings
 from offpiste.mapping.replay import MapperSettings, Moment, pinhole_cameras, replay
 from offpiste.mapping.voxel_map import VoxelSettings
-from sensor_bags import POINT, compressed, odometry, sensor_rig, stamp
-from sensor_drive import AROUND, PICTURES, SECONDS, STATIC, written
+from sensor_bags import POINT, compressed, sensor_rig, stamp
+from sensor_drive import AROUND, PICTURES, SECONDS, STATIC, poses, written
 
 SWEEP = 0.21
 """Duration of a scan, from its stamp on [s]."""
@@ -49,9 +49,7 @@ def recorded(path: Path, change: float) -> Path:
         points["z"] += np.where(late(t + offset), 0.4, 0.0)
         points["t"] = np.round(offset * 1e9)
         clouds.append((t, "/points", message_from_points(points, stamp(t), "lidar")))
-    times = np.arange(0, SECONDS + 0.01, 0.05).tolist()
-    poses = [(t, "/odom", odometry(t, min(20 * max(t - change, 0.0), 0.5))) for t in times]
-    return written(path, STATIC, images, clouds, poses)
+    return written(path, STATIC, images, clouds, poses(lambda t: min(20 * max(t - change, 0.0), 0.5)))
 
 
 def snapshots(

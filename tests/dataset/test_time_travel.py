@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,9 @@ import pyarrow.parquet
 import pytest
 import torch
 from msgspec import structs
-from rosbags import rosbag2
-from rosbags.rosbag2.enums import StoragePlugin
 from scipy.spatial.transform import Rotation
 
-from bag_files import ROS2, converted
+from bag_files import converted
 from factories import HEAD
 from offpiste.dataset.columns import COLUMNS
 from offpiste.dataset.resample import Rows, extract_rows
@@ -24,7 +23,9 @@ from offpiste.dataset.store import Dataset, StoredDrive
 from offpiste.dataset.windows import Windows
 from offpiste.logs.drive import drive_from_log, read_drive
 from offpiste.logs.log import Log, Samples, Topic, open_log
+from offpiste.logs.ros.writer import McapWriter, header, make
 from offpiste.rig.rig import Rig, load_rig, parse_rig
+from sensor_bags import odometry_of, twist_of
 
 START = 1_300_000_000.0
 CHANGE = START + 6.0051
@@ -46,12 +47,8 @@ CHANNELS = {
     "steer": ("steering", "command"),
     "steer_angle": ("steering", "angle"),
 }
-STAMPED = {
-    "odom": ("geometry_msgs/msg/PoseStamped", "pose.position.{} pose.orientation.{}", "xyz", "xyzw"),
-    "pedals": ("geometry_msgs/msg/TwistStamped", "twist.linear.{} twist.angular.{}", "xyz", "x"),
-    "steering": ("geometry_msgs/msg/TwistStamped", "twist.linear.{} twist.angular.{}", "xy", ""),
-}
-"""ROS messages that have a number for each field."""
+POSE = [f"pose.pose.position.{axis}" for axis in "xyz"] + [f"pose.pose.orientation.{axis}" for axis in "xyzw"]
+TWIST = [f"twist.{part}.{axis}" for part in ("linear", "angular") for axis in "xyz"]
 
 
 def driven(change: str = "") -> Topics:
@@ -87,44 +84,23 @@ def driven(change: str = "") -> Topics:
     return topics
 
 
-def paths(topic: str) -> list[str]:
-    _, pattern, *axes = STAMPED[topic]
-    return [path.format(axis) for path, names in zip(pattern.split(), axes, strict=True) for axis in names]
+def message_of(topic: str, ns: int, values: np.ndarray) -> object:
+    """A ROS message with a number for each field of a topic."""
+    head = header(ns, "map")
+    if topic == "odom":
+        return odometry_of(head, values[:3], values[3:])
+    six = np.pad(values, (0, 6 - len(values)))
+    return make("geometry_msgs/TwistStamped", header=head, twist=twist_of(six[:3], six[3:]))
 
 
-def messages(topics: Topics):
-    """Stamp [ns], topic, type and message of every sample, in the order of time."""
-    types = {name.rpartition("/")[2]: type_ for name, type_ in ROS2.types.items()}
-    for at, topic, row in sorted((t, name, i) for name, (time, _) in topics.items() for i, t in enumerate(time)):
-        kind, values = STAMPED[topic][0], topics[topic][1][row]
-        ns, numbers = round(at * 1e9), dict(zip(paths(topic), values.tolist(), strict=True))
-
-        def part(kind: str, path: str, numbers=numbers):
-            names = "xyzw" if kind == "Quaternion" else "xyz"
-            return types[kind](**{n: numbers.get(f"{path}.{n}", 0.0) for n in names})
-
-        header = types["Header"](stamp=types["Time"](sec=ns // 10**9, nanosec=ns % 10**9), frame_id="map")
-        if topic == "odom":
-            pose = types["Pose"](part("Point", "pose.position"), part("Quaternion", "pose.orientation"))
-            yield ns, topic, kind, ROS2.types[kind](header, pose)
-        else:
-            twist = types["Twist"](part("Vector3", "twist.linear"), part("Vector3", "twist.angular"))
-            yield ns, topic, kind, ROS2.types[kind](header, twist)
-
-
-def ros2(storage: StoragePlugin) -> Callable[[Path, Topics], None]:
-    def write(path: Path, topics: Topics) -> None:
-        with rosbag2.Writer(path, version=9, storage_plugin=storage) as writer:
-            known = {name: writer.add_connection(f"/{name}", STAMPED[name][0], typestore=ROS2) for name in topics}
-            for ns, topic, kind, message in messages(topics):
-                writer.write(known[topic], ns, ROS2.serialize_cdr(message, kind))
-
-    return write
-
-
-def ros1(path: Path, topics: Topics) -> None:
-    ros2(StoragePlugin.MCAP)(path.with_suffix(""), topics)
-    converted(path.with_suffix(""), path)
+def bag(path: Path, topics: Topics, storage: str = "") -> None:
+    """Write a ROS 1 bag, or the folder of a ROS 2 bag with this storage."""
+    log = path.with_name("written.mcap")
+    with McapWriter(log) as writer:
+        for at, topic, row in sorted((t, name, i) for name, (time, _) in topics.items() for i, t in enumerate(time)):
+            ns = round(at * 1e9)
+            writer.write(f"/{topic}", message_of(topic, ns, topics[topic][1][row]), ns)
+    converted(log, path, storage)
 
 
 def tartandrive(path: Path, topics: Topics) -> None:
@@ -174,13 +150,13 @@ def rig_of(name: Callable[[str, str], str], topic: str = 'topic = "{}"\n') -> Ri
     return parse_rig(text, where="test")
 
 
-ROS = rig_of(lambda topic, field: paths(topic)[FIELDS[topic].index(field)], 'topic = "/{}"\n')
+ROS = rig_of(lambda topic, field: (POSE if topic == "odom" else TWIST)[FIELDS[topic].index(field)], 'topic = "/{}"\n')
 NUMBERED = rig_of(lambda topic, field: str(FIELDS[topic].index(field)))
 NAMED = rig_of(lambda topic, field: field, "")
 FORMATS: dict[str, tuple[str, Rig, Callable[[Path, Topics], None]]] = {
-    "mcap": ("drive", ROS, ros2(StoragePlugin.MCAP)),
-    "db3": ("drive", ROS, ros2(StoragePlugin.SQLITE3)),
-    "bag": ("drive.bag", ROS, ros1),
+    "mcap": ("drive", ROS, partial(bag, storage="mcap")),
+    "db3": ("drive", ROS, partial(bag, storage="sqlite3")),
+    "bag": ("drive.bag", ROS, bag),
     "kitti": ("drive_sync", load_rig("kitti"), kitti),
     "tartandrive": ("drive", NUMBERED, tartandrive),
     "csv": ("drive.csv", NAMED, table(pa.csv.write_csv)),
