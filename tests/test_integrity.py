@@ -32,16 +32,13 @@ def make_dataset(path: Path) -> None:
     split = empty_dataset(path, {"mapped": "test", "kept": "validation"})
     looks = rng.normal(size=(60, 60, FEATURES)).astype(np.float32)
     flat, rise = np.ones((60, 60), np.float32), np.zeros((60, 60, 2), np.float32)
-    for name in ("mapped", "kept"):
-        rows = rows_with_features(400, rng)
-        terrain = TerrainMap(rows.origin - 12.0, 0.4, flat, looks, rise)
-        if name == "mapped":
-            add_drive(path, name, rows, split, (), terrain)
-            continue
-        writer = SnapshotWriter(path / ".snapshots", 0.4, FEATURES)
-        writer.add(300, crop(terrain, rows.state[300] + np.array((*rows.origin, 0, 0, 0, 0)), 4.0))
-        writer.close()
-        add_drive(path, name, rows, split, ("a note",), snapshots=path / ".snapshots")
+    mapped, kept = (rows_with_features(400, rng) for _ in range(2))
+    terrain = TerrainMap(mapped.origin - 12.0, 0.4, flat, looks, rise)
+    add_drive(path, "mapped", mapped, split, (), terrain)
+    writer = SnapshotWriter(path / ".snapshots", 0.4, FEATURES)
+    writer.add(300, crop(terrain, kept.state[300] + np.array((*kept.origin, 0, 0, 0, 0)), 4.0))
+    writer.close()
+    add_drive(path, "kept", kept, split, ("a note",), snapshots=path / ".snapshots")
 
 
 def make_run(folder: Path, dataset: Path) -> None:

@@ -56,7 +56,7 @@ from offpiste.mapping.terrain_map import TerrainLayers
 from offpiste.mapping.terrain_sampler import MapTerrain
 from offpiste.mapping.voxel_map import VoxelSettings
 from offpiste.perception.backbones import open_backbone
-from offpiste.perception.feature_extractor import FeatureExtractor, load_feature_extractor
+from offpiste.perception.feature_extractor import load_feature_extractor
 from offpiste.perception.pca import save_pca
 from offpiste.planning.controls import CONTROL_LIMITS, keep_within
 from offpiste.planning.costs.layers import Hazards
@@ -77,7 +77,8 @@ from offpiste.training.losses import summed_loss
 from offpiste.training.prediction import encoded, predict_batch
 from offpiste.training.run import build, load_run
 from offpiste.training.train import standardise, train
-from planning_maps import layers, situation
+from planning.test_kernel import ground
+from planning_maps import situation
 from runtime.stream import parametric, settings
 
 Results = dict[str, np.ndarray | str]
@@ -127,14 +128,8 @@ def parts(name: str, thing: object, *, keep: int = SMALL) -> Results:
     return found
 
 
-@cache
-def temporary_folder() -> Path:
-    kept = tempfile.TemporaryDirectory(prefix="golden-")
-    _kept.append(kept)
-    return Path(kept.name)
-
-
-_kept: list[tempfile.TemporaryDirectory] = []
+_TEMPORARY = tempfile.TemporaryDirectory(prefix="golden-")
+TEMPORARY = Path(_TEMPORARY.name)
 
 
 def recorded_data() -> Path | None:
@@ -203,6 +198,12 @@ def as_type(batch: Batch, dtype: torch.dtype) -> Batch:
     return change(batch)
 
 
+def thinned(values: np.ndarray, count: int) -> list[float]:
+    """Size, norm, sum and up to `count` numbers of an array."""
+    flat = values.ravel()
+    return [float(len(flat)), np.linalg.norm(flat), flat.sum(), *flat[:: max(1, len(flat) // count) | 1][:count]]
+
+
 def learned(name: str, dynamics: Dynamics, trajectory: object, batch: Batch) -> Results:
     """Predictions, losses and the gradients of all parameters in the order of registration."""
     dtype = batch.state.dtype
@@ -217,9 +218,7 @@ def learned(name: str, dynamics: Dynamics, trajectory: object, batch: Batch) -> 
         return found
     kept = []
     for gradient in torch.autograd.grad(losses.mean(), wanted, allow_unused=True):
-        flat = np.zeros(1) if gradient is None else gradient.double().numpy().ravel()
-        some = flat[:: max(1, len(flat) // 8) | 1][:8]
-        kept += [float(len(flat)), np.linalg.norm(flat), flat.sum(), *some]
+        kept += thinned(np.zeros(1) if gradient is None else gradient.double().numpy(), 8)
     found[f"{name}.gradients"] = np.array(kept)
     return found
 
@@ -313,7 +312,7 @@ def messages(name: str, log: Path) -> Results:
 
 @cache
 def light_drive() -> tuple[Path, object]:
-    out = temporary_folder() / "light" / "drive.mcap"
+    out = TEMPORARY / "light" / "drive.mcap"
     return out, simulate(DriveSettings(WORLD, 8.0, seed=1, sensors="light"), out)
 
 
@@ -326,7 +325,7 @@ def blind_drives() -> list[tuple[Path, object]]:
         ("dunes", DriveSettings(replace(WORLD, preset="dunes", seed=5), 14.0, seed=2, sensors="none")),
         ("flaws", DriveSettings(WORLD, 3.0, seed=4, sensors="none", imperfections=flaws)),
     ):
-        out = temporary_folder() / "blind" / f"{name}.mcap"
+        out = TEMPORARY / "blind" / f"{name}.mcap"
         found.append((out, simulate(settings_, out)))
     asked = DriveSettings(replace(WORLD, preset="halter-ranch", seed=6), 14.0, seed=3, sensors="none")
     world, other = make_world(asked.world), make_world(replace(asked.world, seed=asked.world.seed + 1_000_003))
@@ -334,7 +333,7 @@ def blind_drives() -> list[tuple[Path, object]]:
     start, driver = start_and_driver(world, load_vehicle(), seed=3)
     memory = Remembering(driver)
     for name, driven_on, controller in (("ranch", world, memory), ("ranch-twin-1", ground, Replay(memory.commands))):
-        out = temporary_folder() / "blind" / f"{name}.mcap"
+        out = TEMPORARY / "blind" / f"{name}.mcap"
         found.append((out, record(asked, driven_on, load_vehicle(), start, controller, out, steps=700)))
     return found
 
@@ -370,7 +369,7 @@ class Replay:
 
 def simulated_log() -> Results:
     found: Results = {}
-    full = temporary_folder() / "full.mcap"
+    full = TEMPORARY / "full.mcap"
     looked = simulate(DriveSettings(WORLD, 0.4, seed=7, sensors="full"), full)
     for log, driven in [light_drive(), (full, looked), *blind_drives()]:
         name = log.stem if log != full else "full"
@@ -383,7 +382,7 @@ def simulated_log() -> Results:
 
 @cache
 def pca_file() -> Path:
-    out = temporary_folder() / "pca.safetensors"
+    out = TEMPORARY / "pca.safetensors"
     fitted = fit_pca(
         [light_drive()[0]],
         load_rig("proving_ground"),
@@ -396,13 +395,9 @@ def pca_file() -> Path:
     return out
 
 
-def extractor() -> FeatureExtractor:
-    return load_feature_extractor(pca_file())
-
-
 def map_layers() -> Results:
     """The map after 20 scans of a simulated drive, and after random scans with every fusion rule."""
-    rig, look = load_rig("proving_ground"), extractor()
+    rig, look = load_rig("proving_ground"), load_feature_extractor(pca_file())
     found: Results = {
         "pca.mean": np.asarray(look.pca.mean, np.float64),
         "pca.basis": np.asarray(look.pca.basis, np.float64)[:60],
@@ -446,22 +441,17 @@ def random_map(rule: str) -> TerrainLayers:
     return pipeline.layers()
 
 
-@cache
-def visual_dataset() -> object:
-    listed = temporary_folder() / "visual.txt"
+def dataset() -> Results:
+    """Dataset of a simulated drive: rows, features by distance, snapshots of the map, windows."""
+    listed = TEMPORARY / "visual.txt"
     listed.write_text("drive test\n")
-    return extract(
+    made = extract(
         [light_drive()[0]],
         load_rig("proving_ground"),
-        temporary_folder() / "visual.zarr",
+        TEMPORARY / "visual.zarr",
         split=f"drives:{listed}",
         pca=pca_file(),
     )
-
-
-def dataset() -> Results:
-    """Dataset of a simulated drive: rows, features by distance, snapshots of the map, windows."""
-    made = visual_dataset()
     (drive,) = made.drives
     found: Results = parts("rows", drive.rows) | summarised("part", drive.part)
     found["names"] = json.dumps([list(made.features), list(FEATURE_SETS), list(CONTROL), list(ACTUATORS)])
@@ -480,7 +470,7 @@ def dataset() -> Results:
     oracle = extract(
         [path, other],
         load_rig("proving_ground"),
-        temporary_folder() / "oracle.zarr",
+        TEMPORARY / "oracle.zarr",
         split="blocks:0.5,0.25,0.25",
         features="ground-truth",
     )
@@ -494,10 +484,8 @@ def dataset() -> Results:
 
 def recorded_dataset() -> Results:
     """Rows of recorded drives."""
-    folder = recorded_data()
-    assert folder is not None
     found: Results = {}
-    for path, rig in recorded_logs(folder):
+    for path, rig in recorded_logs():
         if rig is None or "down_meadows" in path.name:
             continue
         if rig.startswith("dart") and path not in (sorted(path.parent.glob("*.csv"))[0],):
@@ -510,40 +498,20 @@ def recorded_dataset() -> Results:
     return found
 
 
-def rough(seed: int = 0) -> TerrainLayers:
-    """Waves, holes, missing features, obstacles, rough and steep places."""
-    draw = np.random.default_rng(seed)
-    at = -15.0 + 0.5 * np.arange(61)
-    x, y = np.meshgrid(at, at)
-    normal = np.stack((-0.3 * np.cos(x / 3), -0.2 * np.sin(y / 4), np.ones_like(x)), axis=-1)
-    known = draw.random((61, 61)) > 0.02
-    normal[~known] = np.nan
-    features = draw.normal(size=(61, 61, 2)).astype(np.float32)
-    valid = draw.random((61, 61)) > 0.2
-    features[~valid] = np.nan
-    return layers(
-        61, 0.5,
-        normal=(normal / np.linalg.norm(normal, axis=-1, keepdims=True)).astype(np.float32),
-        slope=(0.6 * draw.random((61, 61))).astype(np.float32),
-        roughness=(0.2 * draw.random((61, 61))).astype(np.float32),
-        obstacle_height=(draw.random((61, 61)) > 0.995).astype(np.float32),
-        features=features, known=known, valid=valid,
-    )  # fmt: skip
-
-
 def plan() -> Results:
     """Three updates of MPPI, and the costs of one set of samples, by the kernel and without it."""
     found: Results = {}
     weights = CostWeights(lateral_limit=0.25, rollover=20.0)
     planned = Settings(CONTROL_LIMITS, (0.3, 0.1, 0.3), samples=96, temperature=3.0, rest=(0.3, 0.0, 0.0))
-    at = situation(rough(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
+    at = situation(ground(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
     found |= parts("prices", at.costs) | {"prices.3": np.array(at.costs.outside[0])}
     for name, vehicle in (
         ("parametric", COMMANDED), ("b", COMMANDED), ("dc", COMMANDED), ("b", VEHICLE),
     ):  # fmt: skip
         label = f"{name}.{len(vehicle.actuators)}"
         dynamics = made(name, replace(vehicle, features=2)).eval().requires_grad_(False)
-        standardised_for_plans(dynamics)
+        standardised(dynamics.double(), batch_of(dynamics.vehicle))
+        dynamics.float()
         past = carry_at(dynamics, at.state)
         encoder = dynamics.encoder
         codes = encode_map(at.ground, encoder)
@@ -592,13 +560,6 @@ def carry_at(dynamics: Dynamics, state: torch.Tensor) -> ModelState:
     return dynamics.start(history, state[None], actuators[None])
 
 
-def standardised_for_plans(dynamics: Dynamics) -> None:
-    batch = batch_of(replace(dynamics.vehicle, features=2))
-    dynamics.double()
-    standardised(dynamics, batch)
-    dynamics.float()
-
-
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 RIG_WORDS = re.compile(r'\[?[a-z_]+(?:\.\w+)+\]?|"[^"]*"')
 
@@ -607,8 +568,10 @@ def numbers(text: str) -> list[float]:
     return [float(found) for found in NUMBER.findall(text)]
 
 
-def recorded_logs(folder: Path) -> Iterable[tuple[Path, str | None]]:
-    """All logs, without a rig and with the preset for them."""
+def recorded_logs() -> Iterable[tuple[Path, str | None]]:
+    """All recorded logs, without a rig and with the preset for them."""
+    folder = recorded_data()
+    assert folder is not None
     for path in sorted((folder / "tartandrive2" / "drives").iterdir()):
         yield from ((path, None), (path, "tartandrive2"))
     for path in sorted((folder / "bags").iterdir()):
@@ -622,10 +585,8 @@ def recorded_logs(folder: Path) -> Iterable[tuple[Path, str | None]]:
 
 def findings() -> Results:
     """Findings of `inspect` in every recorded log without their texts: severities, positions, numbers, rig lines."""
-    folder = recorded_data()
-    assert folder is not None
     found: Results = {}
-    for path, rig in recorded_logs(folder):
+    for path, rig in recorded_logs():
         label = f"{path.name}.{rig or 'no rig'}"
         preset = load_rig(rig) if rig else None
         try:
@@ -664,21 +625,21 @@ def findings() -> Results:
 
 def training() -> Results:
     """Short trainings: weights in the order of registration, losses of every epoch, and what an evaluation finds."""
-    made = dataset_with_features(temporary_folder() / "seen.zarr", rows=700)
+    made = dataset_with_features(TEMPORARY / "seen.zarr", rows=700)
     found: Results = {}
     quick = TrainConfig(epochs=2, bicycle_epochs=1, actuator_epochs=1, stride=20, batch=32, codes=3, seed=11)
     runs = []
     for name in ("b", "dc", "lstm"):
-        folder = temporary_folder() / "runs" / name
+        folder = TEMPORARY / "runs" / name
         dynamics = train(made, replace(quick, model=name), folder)
         found |= trained(name, dynamics, folder)
         runs.append(folder)
-    listed = temporary_folder() / "real.txt"
+    listed = TEMPORARY / "real.txt"
     listed.write_text("dunes train\nranch validation\nranch-twin-1 test\n")
     logs = [path for path, _ in blind_drives() if path.stem != "flaws"]
-    real = extract(logs, load_rig("proving_ground"), temporary_folder() / "real.zarr", split=f"drives:{listed}")
+    real = extract(logs, load_rig("proving_ground"), TEMPORARY / "real.zarr", split=f"drives:{listed}")
     for name in ("b", "kinematic"):
-        folder = temporary_folder() / "runs" / f"real-{name}"
+        folder = TEMPORARY / "runs" / f"real-{name}"
         found |= trained(f"real-{name}", train(real, replace(quick, model=name, epochs=1), folder), folder)
     loaded = [load_run(folder) for folder in runs[:2]]
     evaluation = evaluate_models(
@@ -712,8 +673,7 @@ def all_numbers(content: object) -> Iterable[float]:
 def trained(label: str, dynamics: Dynamics, folder: Path) -> Results:
     kept = []
     for tensor in [*dynamics.parameters(), *dynamics.buffers()]:
-        flat = tensor.detach().double().numpy().ravel()
-        kept += [float(len(flat)), np.linalg.norm(flat), flat.sum(), *flat[:: max(1, len(flat) // 6) | 1][:6]]
+        kept += thinned(tensor.detach().double().numpy(), 6)
     found: Results = {f"{label}.weights": np.array(kept)}
     record = folder / "metrics.jsonl"
     lines = [json.loads(line) for line in record.read_text().splitlines()] if record.exists() else []
@@ -731,7 +691,7 @@ def closed_loop() -> Results:
         course=CourseSettings(speed=5.0, length=60.0, candidates=6),
         runtime=settings(),
     )
-    out = temporary_folder() / "closed-loop"
+    out = TEMPORARY / "closed-loop"
     driven = drive_course(Planner("parametric", Path("nowhere"), parametric()), asked, out)
     found = messages("log", out / "drive.mcap")
     found |= summarised("controls", np.stack([c.command for c in driven.driving.controls]))
