@@ -9,7 +9,9 @@ import pytest
 import simulated
 import zarr
 
+from cluster import content
 from factories import circle_rows, small_rig, stored_dataset
+from feature_datasets import random_pca
 from object_stores import s3_server
 from offpiste.core.checksums import write_checksums
 from offpiste.core.errors import DatasetError
@@ -24,11 +26,9 @@ from offpiste.inspection.extract import extract, findings_on
 from offpiste.logs.log import Log
 from offpiste.perception.backbones import open_backbone
 from offpiste.perception.feature_extractor import FeatureExtractor
-from offpiste.perception.pca import PrincipalComponents
 from offpiste.rig.rig import load_rig
 from shared_drives import blind_drives
 
-ROWS = 6000
 SPLIT = parse_split("blocks:0.5,0.25,0.25")
 STEER = LogFinding("warning", "steer", "is positive to the right", "r = -0.9", "channels.steer.sign = -1")
 YAW = LogFinding("fatal", "yaw", "does not follow the course", "agrees to 0.1", 'channels.yaw.unit = "deg"')
@@ -97,8 +97,7 @@ def test_logs_in_an_object_store_make_the_dataset_that_is_made_here(tmp_path) ->
             for log in logs:
                 files.put_file(str(log), f"{root}/{log.name}")
         extract(["s3://bucket/logs/*.mcap"], rig, datasets[1], processes=2)
-    here, there = ({f.relative_to(d): f.read_bytes() for f in d.rglob("*") if f.is_file()} for d in datasets)
-    assert here == there
+    assert content(datasets[0]) == content(datasets[1])
 
 
 def test_a_flipped_sign_is_a_warning_with_its_fix() -> None:
@@ -133,18 +132,12 @@ def test_an_unusable_log_comes_back_from_another_process() -> None:
     assert "(and 1 more)" in str(error)
 
 
-def job(split: str) -> Job:
-    return Job(Path("drive.mcap"), "drive", small_rig(), Path("d.zarr"), ExtractSettings(parse_split(split)))
-
-
 @pytest.mark.parametrize(("then", "now", "seen"), [("train", "test", True), ("test", "test", False)])
 def test_a_pca_fitted_on_test_rows_is_noticed(tmp_path, then, now, seen):
     text = write_drives(tmp_path / "parts.txt", [("drive", now)])
     about = {"logs": ["drive"], "split": text, "split_drives": [["drive", then]]}
     backbone = open_backbone("filterbank")
-    mean, basis = np.zeros(backbone.channels, np.float32), np.eye(backbone.channels, 1, dtype=np.float32)
-    pca = PrincipalComponents(
-        mean, basis, np.ones(1, np.float32), 1.0, backbone.name, backbone.fingerprint, fitted_on=about
-    )
-    notes = pca_overlap(FeatureExtractor(backbone, pca), circle_rows(ROWS, seed=0, speed=5), job(text))
+    extractor = FeatureExtractor(backbone, random_pca(backbone, fitted_on=about))
+    job = Job(Path("drive.mcap"), "drive", small_rig(), Path("d.zarr"), ExtractSettings(parse_split(text)))
+    notes = pca_overlap(extractor, circle_rows(6000), job)
     assert [note.startswith("warning: the PCA may have seen 120 s of") for note in notes] == [True] * seen

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from cluster import content
 from offpiste.core.checksums import CHECKSUMS
 from offpiste.core.errors import DatasetError, OffpisteError
 from offpiste.core.parallel import parse_shard
@@ -34,10 +35,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def shards(folder: Path, tmp_path: Path) -> list[Path]:
     """Copies of the shards."""
     return [Path(shutil.copytree(folder / f"{number}.zarr", tmp_path / f"{number}.zarr")) for number in (1, 2)]
-
-
-def content(path: Path) -> dict[str, bytes]:
-    return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
 
 
 def test_merged_shards_are_what_one_process_makes_also_after_an_interruption(folder, shards, tmp_path):

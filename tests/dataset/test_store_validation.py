@@ -7,7 +7,7 @@ import pytest
 from factories import RIG, small_rig
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.map_snapshots import SnapshotSettings
-from offpiste.dataset.splits import parse_split
+from offpiste.dataset.splits import Split, parse_split, write_drives
 from offpiste.dataset.store import create
 from offpiste.mapping.pipeline import MapSettings
 from offpiste.mapping.replay import MapperSettings
@@ -27,6 +27,12 @@ USUAL = {
 }
 
 
+def begin(folder: Path, **settings: object) -> None:
+    """Create a dataset of one drive, or resume it."""
+    create(folder / "d.zarr", **settings)
+    (folder / "d.zarr" / "drive").mkdir(exist_ok=True)
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -43,39 +49,32 @@ USUAL = {
     ],
 )
 def test_an_extraction_is_resumed_with_the_same_settings_only(tmp_path: Path, changes: dict, said: str) -> None:
-    def begin(**changes: object) -> None:
-        create(tmp_path / "d.zarr", **USUAL | changes)
-        (tmp_path / "d.zarr" / "drive").mkdir(exist_ok=True)
-
-    begin()
+    begin(tmp_path, **USUAL)
     threads = MapperSettings(map=MapSettings(VoxelSettings(threads=7)))
-    begin(snapshots=SnapshotSettings(0.5, min_speed=1.5), mapper=threads)
+    begin(tmp_path, **USUAL | {"snapshots": SnapshotSettings(0.5, min_speed=1.5), "mapper": threads})
     with pytest.raises(DatasetError, match=rf"already holds a dataset with another {said} choose another --out"):
-        begin(**changes)
+        begin(tmp_path, **USUAL | changes)
 
 
 def test_parts_of_drives_count_and_not_the_file_that_names_them(tmp_path: Path) -> None:
-    def begin(name: str, part: str) -> None:
-        (tmp_path / name).write_text(f"drive {part}\n")
-        create(tmp_path / "d.zarr", small_rig(), parse_split(f"drives:{tmp_path / name}"))
-        (tmp_path / "d.zarr" / "drive").mkdir(exist_ok=True)
+    def split(name: str, part: str) -> Split:
+        return parse_split(write_drives(tmp_path / name, [("drive", part)]))
 
-    begin("one.txt", "train")
-    begin("two.txt", "train")
+    for name in ("one.txt", "two.txt"):
+        begin(tmp_path, rig=small_rig(), split=split(name, "train"))
     with pytest.raises(DatasetError, match="another split_drives; choose"):
-        begin("one.txt", "test")
+        begin(tmp_path, rig=small_rig(), split=split("one.txt", "test"))
 
 
 def test_masks_are_the_same_where_they_show_the_same_wherever_they_lie(tmp_path: Path) -> None:
-    def begin(folder: str, content: bytes) -> None:
-        (tmp_path / folder).mkdir(exist_ok=True)
+    def masked(folder: str, content: bytes) -> dict:
+        (tmp_path / folder).mkdir()
         (tmp_path / folder / "mask.png").write_bytes(content)
         text = (RIG + SENSORS).replace('info = "/info"', 'info = "/info"\nmask = "mask.png"')
         (tmp_path / folder / "rig.toml").write_text(text)
-        create(tmp_path / "d.zarr", load_rig(tmp_path / folder / "rig.toml"), parse_split("blocks:0.7,0.1,0.2"))
-        (tmp_path / "d.zarr" / "drive").mkdir(exist_ok=True)
+        return USUAL | {"rig": load_rig(tmp_path / folder / "rig.toml")}
 
-    begin("a", b"a mask")
-    begin("b", b"a mask")
+    for folder in ("a", "b"):
+        begin(tmp_path, **masked(folder, b"a mask"))
     with pytest.raises(DatasetError, match=r"d\.zarr: already holds a dataset with another mask of a camera; choose"):
-        begin("c", b"another")
+        begin(tmp_path, **masked("c", b"another"))

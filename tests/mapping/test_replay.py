@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from offpiste.logs.measurements import Cloud, Image, Lidar
+from offpiste.logs.measurements import Cloud, Image
 from offpiste.mapping.pipeline import MapSettings
 from offpiste.mapping.replay import SensorMapper, replay
 from offpiste.mapping.voxel_map import VoxelSettings
-from offpiste.rig.sensors import LidarSource
 from offpiste.runtime.estimator import VehicleTrack
 from runtime.stream import FEATURES, camera, extract_features, reading, scan
 from scripted_log import SETTINGS, jumping_log, mast, ring
@@ -30,10 +29,7 @@ def pose(x: float) -> np.ndarray:
 
 @pytest.fixture
 def mapper() -> SensorMapper:
-    mounting = np.eye(4)
-    mounting[2, 3] = 2.0
-    lidars = {"lidar": Lidar("lidar", mounting, LidarSource("/points"))}
-    return SensorMapper({"eye": camera()}, lidars, extract_features, FEATURES, SETTINGS)
+    return SensorMapper({"eye": camera()}, {"lidar": mast("lidar")}, extract_features, FEATURES, SETTINGS)
 
 
 def test_an_image_is_due_after_some_way_or_some_time(mapper):

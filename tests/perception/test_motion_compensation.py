@@ -7,8 +7,10 @@ from scipy.spatial.transform import Rotation
 from offpiste.logs.channel import Channel
 from offpiste.logs.measurements import Cloud, Lidar
 from offpiste.logs.poses import Poses
+from offpiste.perception import motion_compensation
 from offpiste.perception.motion_compensation import MOMENT, points_in_world, put_in_world
 from offpiste.rig.sensors import LidarSource
+from textured_world import mounting
 
 
 def plain(cloud: Cloud, lidar: Lidar, poses: Poses) -> np.ndarray:
@@ -30,11 +32,9 @@ def curved(rng: np.random.Generator) -> Poses:
 
 @pytest.mark.parametrize("count", [0, 1, 5000])
 @pytest.mark.parametrize("span", [0.0, 0.1, 30.0])
-def test_points_in_world_are_those_of_numpy(count: int, span: float):
+def test_points_in_world_are_those_of_numpy(count: int, span: float, monkeypatch: pytest.MonkeyPatch):
     rng = np.random.default_rng(count)
-    mounting = np.eye(4)
-    mounting[:3, :3], mounting[:3, 3] = Rotation.random(random_state=1).as_matrix(), (0.3, -0.2, 1.9)
-    lidar = Lidar("top", mounting, LidarSource(topic="top"))
+    lidar = Lidar("top", mounting(Rotation.random(random_state=1), (0.3, -0.2, 1.9)), LidarSource(topic="top"))
     offset = None if span == 0 else rng.uniform(-0.3 * span, span, count)
     cloud = Cloud(0.01, "top", rng.normal(size=(count, 3)) * 40, offset, np.ones(count))
     poses = curved(rng)
@@ -43,16 +43,8 @@ def test_points_in_world_are_those_of_numpy(count: int, span: float):
     if count > 1 and span > 0:
         assert np.isnan(world).any()  # before the log begins
         assert np.isfinite(world).any()
-
-
-def test_the_compiled_transform_is_the_plain_one():
-    rng = np.random.default_rng(0)
-    points, matrices = rng.normal(size=(100, 3)), rng.normal(size=(7, 4, 4))
-    points[3], matrices[2] = np.nan, np.nan
-    which, found, expected = rng.integers(0, 7, 100), np.empty((100, 3)), np.empty((100, 3))
-    put_in_world(points, which, matrices, 100, found)
-    put_in_world.plain(points, which, matrices, 100, expected)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+    monkeypatch.setattr(motion_compensation, "put_in_world", put_in_world.plain)
+    np.testing.assert_allclose(points_in_world(cloud, lidar, poses), world, rtol=0, atol=1e-11)
 
 
 def test_a_scan_with_a_time_too_few_is_refused():

@@ -23,6 +23,7 @@ from offpiste.perception.projection import (
 )
 from offpiste.rig.camera import CameraModel
 from offpiste.rig.sensors import CameraSource, LidarSource
+from textured_world import mounting
 
 AHEAD = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """`body_from_camera` of a camera at the pose point that looks ahead."""
@@ -30,10 +31,10 @@ MATRIX = np.array([[100.0, 0.0, 79.5], [0.0, 100.0, 59.5], [0.0, 0.0, 1.0]])
 SKEWED = np.array([[90.0, 0.3, 79.5], [0.0, 110.0, 59.5], [0.0, 0.0, 1.0]])
 
 
-def camera(*, mounting=AHEAD, name="front", own_body=(), patch=10) -> PinholeCamera:
+def camera(*, mounted=AHEAD, name="front", own_body=(), patch=10) -> PinholeCamera:
     """160x120 pixels, 100 px focal length, no distortion."""
     source = CameraSource(topic=name, own_body=own_body)
-    return make_pinhole_camera(Camera(name, CameraModel(160, 120, MATRIX), mounting, source), patch)
+    return make_pinhole_camera(Camera(name, CameraModel(160, 120, MATRIX), mounted, source), patch)
 
 
 def view(time=0.0, **options) -> CameraView:
@@ -62,17 +63,16 @@ def test_by_hand():
 def test_a_sweep_is_unbent_while_the_vehicle_drives_and_turns():
     """Points of a wall at rest, each as the LiDAR saw it at its own moment."""
     poses = straight(12.0, yaw_rate=0.8)
-    mounting = np.eye(4)
-    mounting[:3, :3], mounting[:3, 3] = Rotation.from_euler("zy", (0.3, 0.1)).as_matrix(), (1.0, 0.2, 1.8)
+    mounted = mounting(Rotation.from_euler("zy", (0.3, 0.1)), (1.0, 0.2, 1.8))
     wall = np.column_stack((np.full(200, 30.0), np.linspace(-20, 20, 200), np.linspace(0, 3, 200)))
     offset = np.linspace(0, 0.1, 200)
     seen = np.stack(
         [
-            transformed(point[None], inverse(matrix @ mounting))[0]
+            transformed(point[None], inverse(matrix @ mounted))[0]
             for point, matrix in zip(wall, poses.at(0.2 + offset), strict=True)
         ]
     )
-    lidar = Lidar("top", mounting, LidarSource(topic="top"))
+    lidar = Lidar("top", mounted, LidarSource(topic="top"))
     carried = points_in_world(Cloud(0.2, "top", seen, offset, np.ones(200)), lidar, poses)
     assert np.abs(carried - wall).max() < 0.005  # the poses' moments are rounded to 0.1 ms
     bent = points_in_world(Cloud(0.2, "top", seen, None, np.ones(200)), lidar, poses)
@@ -97,9 +97,8 @@ def test_a_wall_hides_what_is_behind_it_though_its_points_are_sparse():
 
 
 def test_of_two_cameras_the_one_that_looks_at_the_point_is_taken():
-    turned = np.eye(4)
-    turned[:3, :3] = Rotation.from_euler("z", 40, degrees=True).as_matrix()
-    views = [view(), view(mounting=turned @ AHEAD, name="left", time=-0.1)]
+    turned = mounting(Rotation.from_euler("z", 40, degrees=True), (0, 0, 0))
+    views = [view(), view(mounted=turned @ AHEAD, name="left", time=-0.1)]
     angles = np.deg2rad([-10, 15, 25, 60])
     points = 10 * np.column_stack((np.cos(angles), np.sin(angles), np.zeros(4)))
     assert project(points, views).view.tolist() == [0, 0, 1, 1]  # the middle lies at 20 degrees
@@ -114,39 +113,26 @@ def test_points_that_are_not_finite_are_not_seen_and_warn_of_nothing():
     assert project(points, [view()]).view.tolist() == [0, -1, -1, -1, -1]
 
 
-def plain_pinhole(points: np.ndarray, pinhole: CameraModel) -> tuple[np.ndarray, np.ndarray]:
-    matrix = pinhole.matrix
-    ahead = np.flatnonzero(points[:, 2] > NEAREST)
-    x, y, z = points[ahead].T
-    pixels = np.stack(
-        (matrix[0, 0] * x / z + matrix[0, 1] * y / z + matrix[0, 2], matrix[1, 1] * y / z + matrix[1, 2]), axis=1
-    )
-    inside = ((pixels > -0.5) & (pixels < np.array(pinhole.size) - 0.5)).all(axis=1)
-    return ahead[inside], pixels[inside]
-
-
 def plain(points_world: np.ndarray, views: list[CameraView]) -> Projection:
+    """By whole matrices, a point at a time."""
     n = len(points_world)
-    view, pixel, distance = np.full(n, -1), np.full((n, 2), np.nan), np.full(n, np.nan)
-    row, column, best = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, np.inf)
-    for index, this in enumerate(views):
-        points, model = transformed(points_world, inverse(this.world_from_camera)), this.camera.model
-        result, at = plain_pinhole(points, model)
+    found = Projection(np.full(n, -1), np.full((n, 2), np.nan), np.zeros(n, int), np.zeros(n, int), np.full(n, np.nan))
+    best = np.full(n, np.inf)
+    for number, this in enumerate(views):
+        model, grid = this.camera.model, this.camera.grid
+        points = transformed(points_world, np.linalg.inv(this.world_from_camera))
+        pixels, away = (points @ model.matrix.T)[:, :2] / points[:, 2:], np.linalg.norm(points, axis=1)
+        inside = ((pixels > -0.5) & (pixels < np.array(model.size) - 0.5)).all(axis=1)
+        shown = np.flatnonzero(inside & (points[:, 2] > NEAREST))
         reach = float(model.matrix[0, 0]) * np.tan(np.deg2rad(1.0))
-        occluded = occluded_points(at, points[result, 2], model.size, reach=reach)
-        result, at = result[~occluded], at[~occluded]
-        grid, free = this.camera.grid, this.camera.free
-        c, r = np.floor((at + 0.5 - np.array(grid.offset)) / grid.size).astype(int).T
-        inside = (r >= 0) & (c >= 0) & (r < grid.rows) & (c < grid.columns)
-        inside[inside] &= free[r[inside], c[inside]]
-        result, at, r, c = result[inside], at[inside], r[inside], c[inside]
-        far = np.linalg.norm(points[result], axis=1)
-        cost = -points[result, 2] / far
-        better = cost < best[result]
-        chosen = result[better]
-        best[chosen], view[chosen], distance[chosen] = cost[better], index, far[better]
-        pixel[chosen], row[chosen], column[chosen] = at[better], r[better], c[better]
-    return Projection(view, pixel, row, column, distance)
+        for i in shown[~occluded_points(pixels[shown], points[shown, 2], model.size, reach=reach)]:
+            column, row = np.floor((pixels[i] + 0.5 - grid.offset) / grid.size).astype(int)
+            on_grid = 0 <= row < grid.rows and 0 <= column < grid.columns
+            if on_grid and this.camera.free[row, column] and -points[i, 2] / away[i] < best[i]:
+                best[i] = -points[i, 2] / away[i]
+                found.view[i], found.pixel[i], found.distance[i] = number, pixels[i], away[i]
+                found.row[i], found.column[i] = row, column
+    return found
 
 
 def random_views(count: int) -> list[CameraView]:
@@ -154,9 +140,8 @@ def random_views(count: int) -> list[CameraView]:
     for number in range(count):
         source = CameraSource(topic="front", own_body=[[(0.0, 90.0), (159.0, 80.0), (159.0, 119.0), (0.0, 119.0)]])
         camera = make_pinhole_camera(Camera("front", CameraModel(160, 120, SKEWED), np.eye(4), source), 14)
-        pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_rotvec(np.random.default_rng(number).normal(size=3) * 0.2).as_matrix()
-        pose[:3, 3] = np.random.default_rng(number).normal(size=3)
+        random = np.random.default_rng(number).normal(size=3)
+        pose = mounting(Rotation.from_rotvec(0.2 * random), random)
         views.append(CameraView(camera, 0.1 * (number % 2), pose))
     return views
 

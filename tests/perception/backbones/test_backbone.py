@@ -8,14 +8,12 @@ from offpiste.core.errors import PerceptionError
 from offpiste.perception.backbones import Backbone, open_backbone
 from offpiste.perception.backbones.filterbank import Filterbank
 from offpiste.perception.backbones.vision_transformer import VisionTransformer
+from perception.backbones.test_vision_transformer import TINY, made
 
 
 def tiny_vit(seed: int = 0) -> VisionTransformer:
-    from transformers import Dinov2Config, Dinov2Model  # takes seconds
-
     torch.manual_seed(seed)
-    config = Dinov2Config(hidden_size=32, num_attention_heads=2, num_hidden_layers=2, image_size=70, patch_size=14)
-    return VisionTransformer(Dinov2Model(config), name="tiny")
+    return VisionTransformer(made("Dinov2", patch_size=14, image_size=70, **TINY), name="tiny")
 
 
 @pytest.fixture(scope="module", params=["filterbank", "tiny"])

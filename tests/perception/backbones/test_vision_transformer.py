@@ -14,6 +14,7 @@ from offpiste.perception.backbones.vision_transformer import VisionTransformer
 
 SMALL = {"hidden_size": 384, "num_attention_heads": 6, "image_size": 518, "patch_size": 14}
 """config.json of facebook/dinov2-small without the number of layers."""
+TINY = {"hidden_size": 32, "num_attention_heads": 2, "num_hidden_layers": 2}
 
 
 def made(family: str, **settings: object) -> torch.nn.Module:
@@ -45,15 +46,14 @@ def images() -> np.ndarray:
 
 
 def normalised(images: np.ndarray) -> Tensor:
-    """ImageNet's constants as torchvision's and DINOv2's documentation print them, on the centred crop 98x70."""
-    cropped = images[:, 1:71, 1:99].astype(np.float64) / 255
-    scaled = (cropped - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
+    """ImageNet's constants as torchvision's and DINOv2's documentation print them."""
+    scaled = (images / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
     return torch.from_numpy(scaled).permute(0, 3, 1, 2).float()
 
 
 def test_agrees_with_transformers_for_the_same_weights(model: torch.nn.Module, images: np.ndarray):
     with torch.no_grad():
-        tokens = model(normalised(images)).last_hidden_state
+        tokens = model(normalised(images[:, 1:71, 1:99])).last_hidden_state  # the centred crop
     wanted = tokens[:, 1:].reshape(2, 5, 7, 384)
     transformer = VisionTransformer(model, name="random")
     assert torch.allclose(transformer(images), wanted, atol=1e-4)
@@ -69,30 +69,26 @@ def test_agrees_with_transformers_for_the_same_weights(model: torch.nn.Module, i
 )
 def test_registers_are_no_patches(family: str, settings: dict, patch: int):
     torch.manual_seed(0)
-    sizes = {"hidden_size": 32, "num_attention_heads": 2, "num_hidden_layers": 2, "num_register_tokens": 4}
-    model = lively(made(family, patch_size=patch, **sizes, **settings))
+    model = lively(made(family, patch_size=patch, num_register_tokens=4, **TINY, **settings))
     image = np.random.default_rng(0).integers(0, 256, size=(1, 2 * patch, 3 * patch, 3), dtype=np.uint8)
     features = VisionTransformer(model, name="family")(image)
-    scaled = (image / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
     with torch.no_grad():
-        tokens = model(torch.from_numpy(scaled).permute(0, 3, 1, 2).float()).last_hidden_state
+        tokens = model(normalised(image)).last_hidden_state
     assert tokens.shape[1] == 1 + 4 + 6
     assert torch.allclose(features[0, 1, 2], tokens[0, 10], atol=1e-5)
     assert torch.allclose(features[0, 0, 0], tokens[0, 5], atol=1e-5)
 
 
 def test_other_families_are_refused():
-    sizes = {"hidden_size": 32, "num_attention_heads": 2, "num_hidden_layers": 1, "intermediate_size": 32}
     with pytest.raises(PerceptionError, match=r"^google: a model of type 'vit'; use one of dinov2, "):
-        VisionTransformer(made("ViT", image_size=32, **sizes), name="google")
+        VisionTransformer(made("ViT", image_size=32, intermediate_size=32, **TINY), name="google")
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A small model as a user would save it."""
     torch.manual_seed(1)
-    sizes = {"hidden_size": 32, "num_attention_heads": 2, "num_hidden_layers": 2, "image_size": 70}
-    lively(made("Dinov2", patch_size=14, **sizes)).save_pretrained(tmp_path / "tiny")
+    lively(made("Dinov2", patch_size=14, image_size=70, **TINY)).save_pretrained(tmp_path / "tiny")
     return tmp_path / "tiny"
 
 
