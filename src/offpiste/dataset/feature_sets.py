@@ -110,28 +110,21 @@ class FeatureSetRecorder:
         with single_threaded_torch():
             halves = torch.from_numpy(np.ascontiguousarray(there.features, np.float32)).half().numpy()
         there = there._replace(features=halves)
+
+        def keep(number: int, some: Int[np.ndarray, " k"], *names: str) -> None:
+            for name in names:
+                getattr(self, name)[number][active[some]] = getattr(there, name)[some]
+
         for number, distance in enumerate(DISTANCES, 1):
             miss = np.abs(signed - distance)
             some = np.flatnonzero(miss <= TOLERANCE)
             some = some[miss[some] < self._nearest[number, active[some]]]
             self._nearest[number, active[some]] = miss[some]
-            self._keep(number, active, some, there, ("features", "valid", "distance", "elevation", "normal"))
+            keep(number, some, "features", "valid", "distance", "elevation", "normal")
         x, y, z = there.normal.T
-        self._keep(0, active, np.flatnonzero(there.valid), there, ("features", "valid", "distance"))
-        self._keep(0, active, np.flatnonzero(np.isfinite(there.elevation)), there, ("elevation",))
-        self._keep(0, active, np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z)), there, ("normal",))
-
-    def _keep(
-        self,
-        number: int,
-        active: Int[np.ndarray, " K"],
-        some: Int[np.ndarray, " k"],
-        values: MapCells,
-        names: tuple[str, ...],
-    ) -> None:
-        """Keep values of some active passes in a feature set."""
-        for name in names:
-            getattr(self, name)[number][active[some]] = getattr(values, name)[some]
+        keep(0, np.flatnonzero(there.valid), "features", "valid", "distance")
+        keep(0, np.flatnonzero(np.isfinite(there.elevation)), "elevation")
+        keep(0, np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z)), "normal")
 
     def _active(
         self, time: float, xy: Float[np.ndarray, " 2"]
