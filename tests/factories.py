@@ -44,9 +44,9 @@ COMMANDED = replace(VEHICLE, actuators=())
 
 
 def coded(vehicle: Vehicle, codes: int) -> Hybrid:
-    """A hybrid that reads codes of this length, 0 for none, always with the same weights.
+    """A hybrid with fixed weights that reads codes of this length; 0 for none.
 
-    Its inputs are not standardised: other weights may saturate, and then nothing that it reads changes anything.
+    Its inputs are not standardised: with other weights it may saturate, so that no input has an effect.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)

@@ -75,7 +75,7 @@ def dataset_with_features(
 
 
 def with_snapshots(dataset: Dataset, folder: Path, rows: Sequence[int]) -> Dataset:
-    """Every drive with maps of its own at some rows: a slope of random looks."""
+    """Return the dataset with snapshots of every drive at some rows: slopes with random features."""
     rng, drives = np.random.default_rng(4), []
     for drive in dataset.drives:
         writer = SnapshotWriter(folder / drive.name, 0.4, FEATURES)

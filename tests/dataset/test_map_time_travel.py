@@ -34,7 +34,7 @@ def mean_colours(pixels: np.ndarray) -> np.ndarray:
 
 
 def recorded(path: Path, change: float) -> Path:
-    """A drive over level ground; what is measured after a moment [s] is other ground, of other colours, on a swerve."""
+    """Write a drive over level ground, on which ground, colours and path differ after a time [s]."""
 
     def late(time: np.ndarray | float) -> np.ndarray:
         return np.asarray(time) > change
@@ -108,7 +108,7 @@ class WithoutPoses(SnapshotKeeper):
 
 
 IN_A_SWEEP, BEFORE_A_POSE = (PERCEPTION_LATENCY, 3.21), (0.0, 3.085)
-"""Latency, and when all is changed [s]: 0.11 s into a scan; 0.025 s after its last point and 0.015 s before a pose."""
+"""Latency and time of the change [s]: 0.11 s into a scan; 0.025 s after its last point and 0.015 s before a pose."""
 
 
 @pytest.mark.parametrize("case", [IN_A_SWEEP, BEFORE_A_POSE])

@@ -52,7 +52,7 @@ TWIST = [f"twist.{part}.{axis}" for part in ("linear", "angular") for axis in "x
 
 
 def driven(change: str = "") -> Topics:
-    """Twelve seconds of a vehicle that turns on rising ground; after `CHANGE` other commands, and what they lead to.
+    """Twelve seconds of a vehicle that turns on rising ground; its commands and motion differ after `CHANGE`.
 
     Args:
         change: "motion" commands otherwise, "values" is noise, "stamps" drops and moves samples, "gap" drops a second.
@@ -111,7 +111,7 @@ def tartandrive(path: Path, topics: Topics) -> None:
 
 
 def table(write: Callable[[pa.Table, Path], None]) -> Callable[[Path, Topics], None]:
-    """One row a stamp; cells of topics without a sample then are empty."""
+    """Return a writer of one row per stamp, with empty cells for topics that have no sample at that stamp."""
 
     def whole(path: Path, topics: Topics) -> None:
         time = np.unique(np.concatenate([stamps for stamps, _ in topics.values()]))
@@ -173,7 +173,7 @@ def windows_of(rows: Rows, rig: Rig, until: float) -> Windows:
 
 
 def given(rows: Rows, windows: Windows, until: float) -> dict[str, np.ndarray]:
-    """What a model is given of rows until a moment, and of windows, by name; and the targets, which it is not."""
+    """Return a model's inputs from rows until a time and from windows by name, and the targets, which it never gets."""
     known = rows.time <= until
     read = {name for name, column in COLUMNS.items() if {"past", "start"} & set(column.segments)} - {"normal"}
     batch = windows.gather(np.arange(len(windows)))
@@ -189,7 +189,7 @@ def given(rows: Rows, windows: Windows, until: float) -> dict[str, np.ndarray]:
 
 
 def differing(ours: Rows, others: Rows, rig: Rig, until: float = CHANGE) -> set[str]:
-    """Names of what differs in any bit, between rows and between the windows that both have."""
+    """Return the names of inputs that differ in any bit between rows, or between windows that both have."""
     windows = windows_of(ours, rig, until), windows_of(others, rig, until)
     shared = np.intersect1d(windows[0].rows, windows[1].rows, return_indices=True)[1:]
     assert len(shared[0]) > 50
@@ -237,7 +237,7 @@ class ChangedLog(Log):
 
     @property
     def topics(self) -> dict[str, Topic]:
-        """Those of the log."""
+        """Topics of the log."""
         return self._log.topics
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:

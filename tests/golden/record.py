@@ -139,10 +139,10 @@ def recorded_data() -> Path | None:
 
 
 def filled(module: torch.nn.Module, rebuilt: torch.nn.Module, *, seed: int = 0) -> torch.nn.Module:
-    """Every parameter set in the order of registration, whatever it is called and however it was initialised.
+    """Set every parameter in the order of registration, independent of its name and its initial value.
 
     Args:
-        rebuilt: the same module from another seed: what both agree in is a constant, which is moved and not replaced.
+        rebuilt: the same module from another seed; parameters equal in both are constants, which are moved only.
     """
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():

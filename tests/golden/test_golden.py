@@ -44,7 +44,7 @@ def test_golden(group: str) -> None:
 
 
 def different(wanted: np.ndarray | str, found: np.ndarray | str, tolerance: float = TOLERANCE) -> str:
-    """By how much; empty if it is the same."""
+    """Describe a difference; empty for equal results."""
     if isinstance(wanted, str) or isinstance(found, str):
         return "" if wanted == found else f"was {shortened(wanted, found)}, is {shortened(found, wanted)}"
     if wanted.shape != found.shape:
@@ -71,7 +71,7 @@ def different(wanted: np.ndarray | str, found: np.ndarray | str, tolerance: floa
 
 
 def shortened(text: object, other: object) -> str:
-    """The text from a little before where it departs from the other."""
+    """Return a text from shortly before its first difference from another one."""
     text, other = str(text), str(other)
     same = next((i for i, (a, b) in enumerate(zip(text, other, strict=False)) if a != b), min(len(text), len(other)))
     return repr(text[max(0, same - 30) : same + 60])
