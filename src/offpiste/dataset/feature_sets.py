@@ -111,7 +111,7 @@ class FeatureSetRecorder:
             halves = torch.from_numpy(np.ascontiguousarray(there.features, np.float32)).half().numpy()
         there = there._replace(features=halves)
 
-        def keep(number: int, some: Int[np.ndarray, " k"], *names: str) -> None:
+        def keep(number: int, some: np.ndarray, *names: str) -> None:
             for name in names:
                 getattr(self, name)[number][active[some]] = getattr(there, name)[some]
 
