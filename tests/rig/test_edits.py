@@ -94,41 +94,41 @@ def test_edited_text_is_read_as_the_edited_rig(preset: str, edits: list[Edit]) -
         assert [line for line in changed.splitlines() if line.startswith("#")] == kept
 
 
-def test_edited_text_touches_nothing_else() -> None:
-    text = """# of the buggy
+COMMENTED = """# of the buggy
 name = "buggy"  # ours
+absent = ["brake", "brake_pressure", "steer", "steer_angle", "steer_rate", "engine_rpm"]
 
 [vehicle]
 mass = 900.0  # with crew
+pose_point = "axle"
+wheel_positions = [[1.0, 0.5], [1.0, -0.5], [0.0, 0.5], [0.0, -0.5]]
 
 # the pedals
 [channels.throttle]
 fields = ["t"]  # percent
 scale = 2.0     # measured
 
-# the clock drifts
-[clock]
-max_gap = 1.0
-"""
-    rest = 'absent = ["brake", "brake_pressure", "steer", "steer_angle", "steer_rate", "engine_rpm"]\n'
-    pose = """
 [channels.position]
 fields = ["x", "y"]
 
 [channels.yaw]
 fields = ["yaw"]
+
+# the clock drifts
+[clock]
+max_gap = 1.0
 """
-    wheels = 'pose_point = "axle"\nwheel_positions = [[1.0, 0.5], [1.0, -0.5], [0.0, 0.5], [0.0, -0.5]]\n'
-    text = text.replace("\n[vehicle]", rest + "\n[vehicle]").replace("# with crew\n", "# with crew\n" + wheels)
-    text = text.replace("\n# the clock", pose + "\n# the clock")
+
+
+def test_edited_text_touches_nothing_else() -> None:
     edits = [
         Edit("channels.throttle.scale", 3.0), Edit("channels.throttle.sign", -1), Edit("channels.yaw.unit", "deg"),
         Edit("channels.yaw_rate", {"fields": ["w"]}), Edit("motion.window", 0.4), Edit("description", "a buggy"),
     ]  # fmt: skip
-    wanted = text.replace("scale = 2.0     # measured", "scale = 3.0     # measured\nsign = -1")
+    wanted = COMMENTED.replace("scale = 2.0     # measured", "scale = 3.0     # measured\nsign = -1")
     wanted = wanted.replace('["yaw"]\n', '["yaw"]\nunit = "deg"\n\n[channels.yaw_rate]\nfields = ["w"]\n')
-    wanted = wanted.replace(rest, rest + 'description = "a buggy"\n') + "\n[motion]\nwindow = 0.4\n"
-    assert edited_text(text, edits) == wanted
+    wanted = wanted.replace('"engine_rpm"]\n', '"engine_rpm"]\ndescription = "a buggy"\n')
+    assert edited_text(COMMENTED, edits) == f"{wanted}\n[motion]\nwindow = 0.4\n"
 
 
 def test_text_that_is_no_rig_is_refused() -> None:
