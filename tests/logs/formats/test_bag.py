@@ -14,7 +14,7 @@ from rosbags.typesys.store import Typestore
 from bag_files import ROS2, SPEED, START, TWIST, custom, mcap_file, ros1_bag, ros2_folder, speeds, twist, twists
 from offpiste.core.errors import LogError
 from offpiste.logs.formats.bag import BagLog
-from sensor_bags import joints
+from sensor_bags import joints, transforms
 from sensor_drive import written
 
 # Real bags
@@ -218,5 +218,7 @@ def test_database_of_something_else(tmp_path: Path) -> None:
 
 def test_a_recorded_topic_may_be_named_like_a_pair_of_frames(tmp_path: Path) -> None:
     topic = "/map odom -> base"
-    log = BagLog(written(tmp_path / "drive.mcap", [(k, topic, joints(k, [0.1 * k], ["wheel"])) for k in range(5)]))
+    pair = transforms(("odom", "base", (0, 0, 0), (0, 0, 0, 1)))
+    messages = [(k, topic, joints(k, [0.1 * k], ["wheel"])) for k in range(5)]
+    log = BagLog(written(tmp_path / "drive.mcap", messages, [(0.5, "/map", pair)]))
     np.testing.assert_allclose(log.read(topic, ("position[0]",)).values[:, 0], [0.0, 0.1, 0.2, 0.3, 0.4])

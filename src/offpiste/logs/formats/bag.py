@@ -85,7 +85,7 @@ class BagLog(Log):
             notes += [f"not read: {name}, which is not part of this bag" for name in _others(self._readers, path)]
             names = {connection.topic for reader in self._readers for connection in reader.connections}
             self._topics = {name: self._describe(name, notes) for name in sorted(names)}
-            self._topics |= {topic.name: topic for topic in self._transforms_as_topics()}
+            self._topics |= {pair.name: pair for pair in self._transforms_as_topics() if pair.name not in names}
             weakref.finalize(self, stack.pop_all().close)
         self.warnings = tuple(notes)
 
