@@ -50,8 +50,8 @@ def test_orientations_are_the_devkits_euler_angles():
     rows = np.zeros((20, 30))
     rows[:, :6] = np.random.default_rng(0).uniform(-1, 1, (20, 6))
     found = Rotation.from_quat(pose_from_oxts(rows)[:, 3:]).as_matrix()
-    # Rz(yaw) Ry(pitch) Rx(roll)
-    np.testing.assert_allclose(found, Rotation.from_euler("ZYX", rows[:, [5, 4, 3]]).as_matrix(), atol=1e-12)
+    roll, pitch, yaw = (Rotation.from_euler(axis, rows[:, k, None]).as_matrix() for k, axis in enumerate("xyz", 3))
+    np.testing.assert_allclose(found, yaw @ pitch @ roll, atol=1e-12)
 
 
 def test_sensors_through_the_calibration_files(tmp_path):
