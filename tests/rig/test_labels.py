@@ -81,15 +81,12 @@ def test_the_unit_of_stamps_by_their_rate(rate: float, unit: str, said: str) -> 
     assert unit_by_rate(float("inf"), unit) == unit_by_rate(float("nan"), unit) == unit
 
 
-@pytest.mark.parametrize(
-    "field", ["rate_limit", "enable", "steering_limit", "pacmod_fault", "Max_Steer", "SteerAngleOk"]
-)
-def test_what_goes_with_a_quantity_is_none(field):
-    assert is_beside_quantity(field)
+BESIDE = ("rate_limit", "enable", "steering_limit", "pacmod_fault", "Max_Steer", "SteerAngleOk")
+QUANTITIES = (
+    "status.steering_angle", "vehicle_status_throttle", "steer_count", "override.steer", "mode_throttle",
+)  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "field", ["status.steering_angle", "vehicle_status_throttle", "steer_count", "override.steer", "mode_throttle"]
-)
-def test_a_quantity_of_a_status_is_one(field):
-    assert not is_beside_quantity(field)
+@pytest.mark.parametrize("field", [*BESIDE, *QUANTITIES])
+def test_limits_and_switches_are_told_from_quantities(field: str) -> None:
+    assert is_beside_quantity(field) == (field in BESIDE)

@@ -80,14 +80,14 @@ def frame_pairs(topic: str, messages: Iterable[Any]) -> Iterator[FramePair]:
 
     A localiser that starts late is found within the first ten thousand messages.
     """
-    left, found = _SOUGHT, False
+    left = _SOUGHT
     for message in messages:
         for one in message.transforms:
             key = FramePair(topic, *frames(one))
             if frame_pair(key.name) == key:
                 yield key
-                if key.is_of_a_body and not found:
-                    left, found = min(left, _MORE), True
+                if key.is_of_a_body:
+                    left = min(left, _MORE)
         left -= 1
         if left <= 0:
             return

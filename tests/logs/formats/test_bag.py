@@ -184,18 +184,14 @@ def test_metadata_cannot_point_outside_its_folder(tmp_path: Path) -> None:
 
 
 def test_other_profiles_of_mcap(tmp_path: Path) -> None:
-    log = BagLog(mcap_file(tmp_path / "a.mcap", twists(3), profile=""))
-    assert (speeds(log), log.warnings) == ([0.0, 1.0, 2.0], ())
+    for name, other in (("a", {"profile": ""}), ("c", {"schema": ""})):  # standard types need no definitions
+        log = BagLog(mcap_file(tmp_path / f"{name}.mcap", twists(3), **other))
+        assert (speeds(log), log.warnings) == ([0.0, 1.0, 2.0], ())
     log = BagLog(mcap_file(tmp_path / "b.mcap", twists(3), encoding="json", profile="", schema="jsonschema"))
     assert log.topics["/odom"].type == f"{TWIST} is encoded as json, which is not supported"
 
 
 # Definitions
-
-
-def test_bag_without_definitions_of_standard_types(tmp_path: Path) -> None:
-    log = BagLog(mcap_file(tmp_path / "a.mcap", twists(3), schema=""))
-    assert speeds(log) == [0.0, 1.0, 2.0]
 
 
 def test_bag_without_definition_of_a_custom_type(tmp_path: Path) -> None:

@@ -97,12 +97,6 @@ def test_units_in_cells_are_those_of_their_column(tmp_path: Path) -> None:
         table(tmp_path, "time,x\n" + "".join(f"{k} sec,1\n" for k in range(200)) + "1 min,1\n").stamps("")
 
 
-def test_no_time(tmp_path: Path) -> None:
-    message = r"drive\.csv: no column looks like time; name it: `inspect --time COLUMN`, .*; there are throttle, steer"
-    with pytest.raises(LogError, match=message):
-        table(tmp_path, "throttle,steer\n1,2\n")
-
-
 def test_a_clock_without_a_name_rises_evenly_and_a_count_of_rows_is_none(tmp_path: Path) -> None:
     rows = "".join(f"{k},{0.02 * k + 0.001 * (k % 3):.3f},{k * k % 7}\n" for k in range(50))
     log = table(tmp_path, f"row,gnss,steer\n{rows}")
@@ -273,15 +267,13 @@ def test_a_stamp_with_a_space_in_it_among_columns_separated_by_spaces(tmp_path: 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (
-            "0.1 1 2 3 0 0 0 1\n0.2 1 2 3 0 0 0 1\n",
-            "no header line above 8 columns of numbers; write the names of the columns into the first line, such as "
-            "timestamp tx ty tz qx qy qz qw",
-        ),
-        (
-            "t pos x pos y\n0.1 1 2\n0.2 1 2\n",
-            "5 names above 3 columns separated by spaces; give each column one name without spaces in it",
-        ),
+        ("0.1 1 2 3 0 0 0 1\n0.2 1 2 3 0 0 0 1\n", "no header line above 8 columns of numbers; write the names of the "
+         "columns into the first line, such as timestamp tx ty tz qx qy qz qw"),
+        ("t pos x pos y\n0.1 1 2\n0.2 1 2\n",
+         "5 names above 3 columns separated by spaces; give each column one name without spaces in it"),
+        ("throttle,steer\n1,2\n",
+         "no column looks like time; name it: `inspect --time COLUMN`, or clock.column in a rig; there "
+         "are throttle, steer"),
         ("", "the file is empty, or begins with an empty line; record or export it again"),
         ("t,x", "no row below the header; record or export it again"),
         ("t,x\n\n\n", "no row below the header; record or export it again"),
@@ -293,7 +285,7 @@ def test_a_stamp_with_a_space_in_it_among_columns_separated_by_spaces(tmp_path: 
         (b"t,unit\n0,m\n1,m\n2,\x81\n", "the text is neither UTF-8 nor cp1252; save it as UTF-8"),
         ("t,x\n0,1\n".encode("utf-16-le"), "not a text file; save it as UTF-8 text with a header line"),
     ],
-)
+)  # fmt: skip
 def test_damaged_text(tmp_path: Path, text: str | bytes, message: str) -> None:
     with pytest.raises(LogError) as caught:
         table(tmp_path, text)

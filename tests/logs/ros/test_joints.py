@@ -13,7 +13,7 @@ from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.channel import read_channel
 from offpiste.logs.formats.bag import BagLog
-from offpiste.logs.log import open_log
+from offpiste.logs.log import JOINT_ARRAYS, open_log
 from offpiste.logs.ros.sensor_messages import Joints
 from offpiste.logs.ros.writer import floats
 from offpiste.rig.rig import parse_rig
@@ -44,20 +44,21 @@ def test_a_first_rig_says_which_entry_is_what_and_reads_the_log(log: Path) -> No
     assert inspect_log(open_log(log), parse_rig(text, where="draft")).usable
 
 
-def test_kinds_follow_the_names_and_what_has_no_name_keeps_none() -> None:
-    message = SimpleNamespace(name=["left", ""], position=[1.0, 2.0, 3.0], velocity=[4.0], effort=[5.0])
-    joints = Joints([message])
-    assert joints.fields == ("position[0]", "position[1]", "position[2]", "velocity[0]", "effort[0]")
-    assert joints.names == {"position[0]": "left", "velocity[0]": "left_vel", "effort[0]": "left_effort"}
-    assert joints.reader(joints.fields)(message) == [1.0, 2.0, 3.0, 4.0, 5.0]
+@pytest.mark.parametrize(
+    ("names", "arrays", "joints"),
+    [
+        (["left", ""], ([1.0, 2.0, 3.0], [4.0], [5.0]),
+         {"position[0]": "left", "velocity[0]": "left_vel", "effort[0]": "left_effort"}),
+        (["a", "a"], ([1.0, 2.0], [], []), {"position[0]": "a", "position[1]": "a"}),
+    ],
+)  # fmt: skip
+def test_entries_have_the_names_of_their_joints(names: list[str], arrays: tuple, joints: dict[str, str]) -> None:
+    message = SimpleNamespace(name=names, **dict(zip(("position", "velocity", "effort"), arrays, strict=True)))
+    found = Joints([message])
+    assert found.fields == tuple(f"{kind}[{i}]" for kind in JOINT_ARRAYS for i in range(len(getattr(message, kind))))
+    assert found.names == joints
+    assert found.reader(found.fields[::-1])(message) == [value for array in arrays for value in array][::-1]
     assert Joints([]).fields == ()
-
-
-def test_names_that_are_given_twice_are_told_apart_by_their_order() -> None:
-    message = SimpleNamespace(name=["a", "a"], position=[1.0, 2.0], velocity=[], effort=[])
-    joints = Joints([message])
-    assert joints.names == {"position[0]": "a", "position[1]": "a"}
-    assert joints.reader(["position[1]", "position[0]"])(message) == [2.0, 1.0]
 
 
 def opened(path: Path, messages: list[tuple[float, list[float], tuple[str, ...]]]) -> BagLog:
