@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from offpiste.calibration.misfit import PRIOR, Misfit, Pair, Parameters, differentiated, fit_misfit, planes, turned
-from offpiste.calibration.samples import Grey, Scan, SmallCamera, pairs
+from offpiste.calibration.samples import Grey, Scan, SmallCamera, nearest_world, pairs
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 from offpiste.perception.motion_compensation import inverse, transformed
@@ -29,8 +29,6 @@ _SQUARES: Final = 150
 """Maximum number of squares per image pair."""
 _ALIKE: Final = 0.8
 """Minimum correlation of a match."""
-_OLD: Final = 0.3
-"""Maximum time between an image and the scan used for its depths [s]."""
 _FURTHEST: Final = 40.0
 
 
@@ -53,14 +51,11 @@ def check_camera(
         prior, start: as for `fit_misfit`; seven entries also estimate the position.
     """
     given = np.zeros(4) if lidar_parameters is None else lidar_parameters
-    times = np.array([scan.time for scan in scans]) - given[3]
     couples = []
     for i, j in pairs([image.time for image in images]):
-        repeated = np.array_equal(images[i].pixels, images[j].pixels)  # shows no motion
-        nearest = int(np.abs(times - images[i].time).argmin()) if len(times) and not repeated else -1
-        if nearest >= 0 and abs(times[nearest] - images[i].time) < _OLD:
-            world = scans[nearest].in_world(lidar.body_from_lidar, poses, given)
-            couples.append((images[i], images[j], world[np.isfinite(world).all(axis=1)]))
+        if not np.array_equal(images[i].pixels, images[j].pixels):  # otherwise it shows no motion
+            world = nearest_world(scans, images[i].time, lidar.body_from_lidar, poses, given)
+            couples.append((images[i], images[j], world))
 
     def compare(parameters: Parameters) -> list[Pair]:
         return [_compared(camera, one, other, world, poses, parameters) for one, other, world in couples]

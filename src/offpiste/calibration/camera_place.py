@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from offpiste.calibration.image_motion import Matches
 from offpiste.calibration.misfit import Misfit, Pair, Parameters, differentiated, fit_misfit, planes, turned
-from offpiste.calibration.samples import Scan
+from offpiste.calibration.samples import Scan, nearest_world
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 
@@ -24,8 +24,6 @@ _PARALLAX: Final = np.deg2rad(2.0)
 """Minimum parallax for triangulation [rad]."""
 _FURTHEST: Final = 20.0
 """Maximum distance of triangulated points [m]."""
-_OLD: Final = 0.3
-"""Maximum time between an image and its scan [s]."""
 _PRIOR: Final = np.array([*np.deg2rad([0.3, 0.3, 0.3]), 0.01, 3.0, 3.0, 3.0])
 """Standard deviations of the prior; rotation and delay are nearly fixed [rad, s, m]."""
 
@@ -50,15 +48,8 @@ def estimate_place(
         body_from_camera: rotation correct to 1 to 2 degrees; the position may be metres off.
         lidar: with a correct mounting.
     """
-    times = np.array([scan.time for scan in scans])
-    seen = []
-    for one in matches:
-        nearest = int(np.abs(times - one.times[0]).argmin()) if len(times) else -1
-        if nearest >= 0 and abs(times[nearest] - one.times[0]) < _OLD:
-            world = scans[nearest].in_world(lidar.body_from_lidar, poses, np.zeros(4))
-            world = world[np.isfinite(world).all(axis=1)]
-            if len(world) > 100:
-                seen.append(_Seen(one, world, cKDTree(world)))
+    worlds = [nearest_world(scans, one.times[0], lidar.body_from_lidar, poses, np.zeros(4)) for one in matches]
+    seen = [_Seen(m, world, cKDTree(world)) for m, world in zip(matches, worlds, strict=True) if len(world) > 100]
     misfit = None
     for reach in _REACHES:
         start = None if misfit is None else misfit.parameters

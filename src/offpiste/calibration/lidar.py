@@ -140,7 +140,7 @@ def estimate_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses) -> LidarMo
 
     Args:
         lidar: with the guess, whose vertical must be correct to about 30 degrees; its heading is ignored.
-        scans: without points of the vehicle itself, which the guess may not separate from others (`beyond`).
+        scans: without points of the vehicle itself, which the guess may not separate from others.
     """
     rng = np.random.default_rng(0)
     normals = [n for scan in scans[:: max(1, len(scans) // 30)] if (n := ground(scan, lidar, rng)) is not None]
@@ -303,8 +303,3 @@ def _headed(level: Lidar, mounting: Float[np.ndarray, "4 4"]) -> Lidar:
 def _between(one: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"]) -> float:
     """Return the angle between two mountings [rad]."""
     return float(Rotation.from_matrix(one[:3, :3].T @ other[:3, :3]).magnitude())
-
-
-def beyond(scan: Scan, near: float) -> Scan:
-    """Drop the points of a scan nearer than this [m]."""
-    return scan.kept(np.linalg.norm(scan.points, axis=1) > near)

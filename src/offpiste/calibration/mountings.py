@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from offpiste.calibration.camera import check_camera
 from offpiste.calibration.camera_place import estimate_place
 from offpiste.calibration.image_motion import estimate_rotation, matched, median_angle
-from offpiste.calibration.lidar import beyond, estimate_lidar, mean_turn, median_distance
+from offpiste.calibration.lidar import estimate_lidar, mean_turn, median_distance
 from offpiste.calibration.misfit import PRIOR, Misfit, Parameters, turned
 from offpiste.calibration.samples import Gathered, Grey, Scan, SmallCamera, gather, small_camera
 from offpiste.core.errors import LogError
@@ -141,39 +141,22 @@ def estimate_mountings(log: Log, rig: Rig) -> list[EstimatedMounting]:
         LogError: the log cannot be read, or has no sensors.
         RigError: the rig has no full poses.
     """
-    rig = with_guesses(log, rig)
-    sensors = open_sensors(log, rig, rough=True)
-    cameras = {name: small_camera(camera) for name, camera in sensors.cameras.items()}
-    return estimated(sensors, cameras, gather(sensors, cameras), given_places(log, rig))
-
-
-def with_guesses(log: Log, rig: Rig) -> Rig:
-    """Add guesses by name for sensors whose mounting neither the rig nor the log's transforms state."""
-    transforms, edits = log.transforms(rig.frames.topics), []
-    for name, entry in _entries(log, rig).items():
-        try:
-            body_from_sensor(log, rig, entry, transforms)
-        except LogError:
-            edits.append(Edit(_key(name, entry), {"looks": looks(name)}))
-    return edited(rig, edits) if edits else rig
-
-
-def given_places(log: Log, rig: Rig) -> dict[str, tuple[Float[np.ndarray, "4 4"], bool]]:
-    """Return `body_from_sensor` of each sensor from the rig or the log, and True if its position is known."""
-    transforms = log.transforms(rig.frames.topics)
-    return {
-        name: (
-            body_from_sensor(log, rig, entry, transforms),
-            entry.mounting is None or entry.mounting.position is not None,
-        )
-        for name, entry in _entries(log, rig).items()
-    }
-
-
-def _entries(log: Log, rig: Rig) -> dict[str, CameraSource | LidarSource]:
-    """Return the cameras and LiDARs of a rig whose topics a log has."""
+    transforms, guesses = log.transforms(rig.frames.topics), []
     entries: dict[str, CameraSource | LidarSource] = {**rig.cameras, **rig.lidars}
-    return {name: entry for name, entry in entries.items() if entry.topic in log.topics}
+    for name, entry in entries.items():
+        if entry.topic in log.topics:
+            try:
+                body_from_sensor(log, rig, entry, transforms)
+            except LogError:  # neither the rig nor the transforms state it
+                guesses.append(Edit(_key(name, entry), {"looks": looks(name)}))
+    sensors = open_sensors(log, edited(rig, guesses), rough=True)
+    cameras = {name: small_camera(camera) for name, camera in sensors.cameras.items()}
+    given = {}
+    for name, camera in sensors.cameras.items():
+        stated = camera.source.mounting
+        placed = stated is None or stated.position is not None
+        given[name] = body_from_sensor(log, sensors.rig, camera.source, transforms), placed
+    return estimated(sensors, cameras, gather(sensors, cameras), given)
 
 
 def _key(name: str, entry: CameraSource | LidarSource) -> str:
@@ -186,9 +169,16 @@ def estimated(
     gathered: Gathered,
     given: dict[str, tuple[Float[np.ndarray, "4 4"], bool]],
 ) -> list[EstimatedMounting]:
-    """Return the estimates from measurements already read."""
+    """Return the estimates from measurements already read.
+
+    Args:
+        given: by camera, its mounting before rectification, and True if its position is known.
+    """
     near = 1.5 * float(np.linalg.norm(sensors.rig.vehicle.wheel_positions, axis=1).max())
-    scans = {name: [beyond(scan, near) for scan in taken] for name, taken in gathered.scans.items()}
+    scans = {
+        name: [scan.kept(np.linalg.norm(scan.points, axis=1) > near) for scan in taken]  # without the vehicle itself
+        for name, taken in gathered.scans.items()
+    }
     result, rulers = [], []
     for name, lidar in track(sensors.lidars.items(), "LiDARs", total=len(sensors.lidars)):
         result.append(_lidar(lidar, scans[name], sensors.poses))
@@ -226,9 +216,14 @@ def _lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses) -> EstimatedMounti
 
 
 def _vague(name: str, sigma: Float[np.ndarray, " 3"], turn: float) -> str:
-    axes = [f"{axis} (± {np.rad2deg(s):.1f} degrees)" for axis, s in zip(AXES, sigma, strict=True) if not s < KNOWN]
-    why = "the drive is straight" if turn < _STRAIGHT else "too little structure is seen"
+    """Return why the drive leaves angles of a sensor unknown; "" if it determines all."""
+    why, axes = "the drive is straight" if turn < _STRAIGHT else "too little structure is seen", unknown(sigma, KNOWN)
     return f"{why}: {' and '.join(axes)} of {name} {'is' if len(axes) == 1 else 'are'} not observable" if axes else ""
+
+
+def unknown(sigma: Float[np.ndarray, " k"], limit: float) -> list[str]:
+    """Return the axes whose angles have standard deviations above a limit [rad], in words."""
+    return [f"{axis} (± {np.rad2deg(s):.1f} degrees)" for axis, s in zip(AXES, sigma, strict=False) if not s < limit]
 
 
 def _camera(

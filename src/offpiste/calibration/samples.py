@@ -1,6 +1,6 @@
 """Scans and images of the first minute of driving, held in memory for sensor checks."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -26,6 +26,8 @@ _POINTS: Final = 20_000
 """Maximum number of points per scan."""
 _FINE: Final = 400.0
 """Focal length above which images are halved in size [px]."""
+_OLD: Final = 0.3
+"""Maximum time between an image and the scan used for its depths [s]."""
 _MOVING: Final = 1.0
 """Speed above which the vehicle is driving [m/s]."""
 
@@ -132,17 +134,13 @@ def gather(log: SensorLog, cameras: dict[str, SmallCamera]) -> Gathered:
 
 
 def _due(times: Float[np.ndarray, " n"], start: float, end: float, period: float) -> Int[np.ndarray, " m"]:
-    """Return the indices of the first measurement after each time of `_wanted`."""
+    """Return the indices of the first measurements at or after the wanted times, in order of time."""
+    wanted = np.arange(start, end, APART if period < 2 * APART else period)
+    if period >= 2 * APART:
+        wanted = (wanted[:, None] + [0.0, APART]).ravel()
     order = np.argsort(times, kind="stable")
-    order = order[(times[order] >= start) & (times[order] <= end)]
-    chosen, done = [], 0
-    for index in order.tolist():
-        if times[index] < start + _wanted(done, period) - 1e-3:
-            continue
-        while start + _wanted(done, period) - 1e-3 <= times[index]:
-            done += 1
-        chosen.append(index)
-    return np.array(chosen, dtype=np.int64)
+    due = np.unique(np.searchsorted(times[order], wanted - 1e-3))
+    return np.array([index for index in order[due[due < len(times)]] if start <= times[index] <= end], np.int64)
 
 
 def driving(poses: Poses) -> tuple[float, float]:
@@ -167,9 +165,20 @@ def pairs(times: list[float]) -> Iterator[tuple[int, int]]:
                 break
 
 
-def _wanted(index: int, period: float) -> float:
-    """Return the desired time of a measurement after the start [s]."""
-    return index * APART if period < 2 * APART else index // 2 * period + index % 2 * APART
+def nearest_world(
+    scans: Sequence[Scan], time: float, body_from_lidar: Float[np.ndarray, "4 4"], poses: Poses, parameters: Parameters
+) -> Float[np.ndarray, "n 3"]:
+    """Return the points of the scan nearest to an image, in the world frame [m]; none if it is too old.
+
+    Args:
+        time: of the image [s].
+        parameters: corrections of the LiDAR's mounting and delay.
+    """
+    times = np.array([scan.time for scan in scans]) - parameters[3]
+    if not len(times) or np.abs(times - time).min() >= _OLD:
+        return np.zeros((0, 3))
+    world = scans[int(np.abs(times - time).argmin())].in_world(body_from_lidar, poses, parameters)
+    return np.asarray(world[np.isfinite(world).all(axis=1)])
 
 
 def _scan(cloud: Cloud) -> Scan:
