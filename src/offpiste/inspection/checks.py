@@ -19,8 +19,7 @@ from offpiste.inspection.pedals import check_controls, check_pedals
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.response import pedal_fits, steering_fits
 from offpiste.inspection.samples import channel_signals, check_ranges, check_signals, check_valid, other_signals
-from offpiste.inspection.senders import check_senders
-from offpiste.inspection.stamps import MISSING, check_on_change, check_stamps
+from offpiste.inspection.stamps import MISSING, check_on_change, check_senders, check_stamps
 from offpiste.inspection.steering import check_steering
 from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate, check_wheel_speed
 from offpiste.logs.drive import Drive
@@ -69,7 +68,7 @@ class Topics:
     @cached_property
     def senders(self) -> list[Finding]:
         """Return findings on topics with several senders, used by other checks."""
-        return check_senders(self.inspected, self.rig, used=self.used)
+        return check_senders(self.inspected, self.rig) if self.rig else []
 
     @property
     def inspected(self) -> dict[str, Recorded]:
@@ -102,10 +101,10 @@ def _check_stamps(topics: Topics) -> list[Finding]:
     alone = check_stamps(inspected, clock, used=used, silent=silent, channels=channels)
     several = {finding.where for finding in topics.senders}
     findings = changing + [f for f in alone if f.what != MISSING or f.where not in several]
-    findings += check_steps(inspected, clock, used=used, set_back=topics.set_back)
+    findings += check_steps(inspected, used=used, set_back=topics.set_back)
     if topics.rig is not None:
-        findings += check_rates(inspected, topics.rig.channels["position"].topic, clock, used=used)
-    return findings + check_headers(inspected, clock, used=used)
+        findings += check_rates(inspected, topics.rig.channels["position"].topic, used=used)
+    return findings + check_headers(inspected, used=used)
 
 
 def check_motion(topics: Topics, drive: Drive, path: DrivenPath) -> list[Finding]:

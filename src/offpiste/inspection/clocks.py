@@ -1,8 +1,8 @@
-"""Checks of clocks: of another origin or rate, apart, all stepping back, and drifting against the wheels' speed."""
+"""Defects of clocks: another origin or rate, a delay, a step back of all, or a drift against the wheels' speed."""
 
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -11,13 +11,12 @@ from jaxtyping import Bool, Float
 from offpiste.core.channels import control_of
 from offpiste.core.errors import LogError
 from offpiste.inspection.driven_path import DrivenPath
-from offpiste.inspection.findings import Cure, Finding, Severity, fixable
-from offpiste.inspection.recorded_log import Recorded, beginning, is_bulk
+from offpiste.inspection.findings import Cure, Finding, Severity, found
+from offpiste.inspection.recorded_log import Recorded, beginning, is_bulk, without_values
 from offpiste.inspection.samples import field_in_words
 from offpiste.logs.channel import Channel
 from offpiste.logs.clock_drift import DRIFT_LIMIT, common_step, estimate_lag, least_delays
 from offpiste.logs.log import Log, SetBack
-from offpiste.rig.channels import Clock
 from offpiste.rig.edits import Edit, rounded
 from offpiste.rig.rig import Rig
 
@@ -30,11 +29,8 @@ DRIFT: Final = 0.1
 """Minimum drift over the log that is reported [s]."""
 _STRAIGHT: Final = 0.2
 """Maximum deviation from a line, as a share of the drift, for a clock of another rate; growing delays deviate more."""
-_ONE: Final = "stamp all topics by one clock (of a simulation: use_sim_time in all nodes, and in the recorder)"
-_REAL: Final = 0.05
+_REAL: Final = 0.02
 """Maximum rate difference of a real-time clock from the recorder's clock; simulations run at any rate."""
-_REAL_TIME: Final = 1e-3
-"""Maximum rate difference at which arrival times are as good as header stamps."""
 _BLOCKS: Final = 12
 """Number of time blocks over which the minimum delay is taken."""
 _UNREAD: Final = "none: no channel reads it"
@@ -65,15 +61,10 @@ class Pace(NamedTuple):
     straight: bool
 
 
-def _arrivals(topic: Recorded) -> Float[np.ndarray, " n"]:
-    """Return the arrival times of a topic whose `time` holds header stamps [s]."""
-    return topic.time if topic.other is None else topic.other
-
-
 def pace(topic: Recorded) -> Pace | None:
     """Estimate the rate of a topic's clock from arrival times; None if there are too few messages."""
-    known = np.isfinite(topic.time) & np.isfinite(_arrivals(topic))
-    stamps, arrived = topic.time[known], _arrivals(topic)[known]
+    known = np.isfinite(topic.time) & np.isfinite(topic.arrival)
+    stamps, arrived = topic.time[known], topic.arrival[known]
     if len(stamps) < 2 * _BLOCKS or not arrived.max() > arrived.min():
         return None
     edges = np.linspace(arrived.min(), arrived.max(), _BLOCKS + 1)
@@ -88,28 +79,21 @@ def pace(topic: Recorded) -> Pace | None:
     return Pace(1 - float(slope), drift, bool(straight))
 
 
-def _has_arrivals(recorded: Mapping[str, Recorded], clock: Clock) -> bool:
+def _have_arrivals(recorded: Mapping[str, Recorded]) -> bool:
     """Return whether arrival times are known in addition to header stamps."""
-    return clock.stamps == "header" and any(topic.other is not None for topic in recorded.values())
+    return any(topic.arrived is not None for topic in recorded.values())
 
 
-def other_origin(
-    recorded: Mapping[str, Recorded], topic: str, pose: str, clock: Clock, *, used: bool
-) -> Finding | None:
+def other_origin(recorded: Mapping[str, Recorded], topic: str, pose: str, *, used: bool) -> Finding | None:
     """Report a topic whose clock has another origin than the pose's clock."""
     if not _has_other_origin(recorded[topic], recorded[pose]):
         return None
     own, other = (_origin(float(recorded[name].rising[0])) for name in (topic, pose))
-    what = f"has another clock than {pose}: they count from different origins"
-    evidence = f"it begins at {own}, {pose} at {other}"
-    cure: Cure = ()
-    if _has_arrivals(recorded, clock):
-        posed = pace(recorded[pose])
-        if posed is not None and abs(posed.rate - 1) < _REAL_TIME:
-            cure = (RECEIVE,)
-        elif posed is not None:
-            evidence += f", whose clock runs at {posed.rate:.4g} times the recorder's rate"
-    return fixable("fatal" if used else "note", topic, what, evidence, cure, advice=_ONE)
+    posed = pace(recorded[pose]) if _have_arrivals(recorded) else None
+    real = posed is not None and abs(posed.rate - 1) < _REAL
+    runs = "" if posed is None or real else f", whose clock runs at {posed.rate:.4g} times the recorder's rate"
+    values = {"pose": pose, "own": own, "other": other, "runs": runs}
+    return found("origin", topic, values, (RECEIVE,) if real else (), severity="fatal" if used else "note")
 
 
 def _has_other_origin(topic: Recorded, pose: Recorded) -> bool:
@@ -123,13 +107,13 @@ def _origin(start: float) -> str:
     return f"{start:.3f} s, as of a simulation or since start-up"
 
 
-def check_rates(recorded: Mapping[str, Recorded], pose: str, clock: Clock, *, used: Collection[str]) -> list[Finding]:
+def check_rates(recorded: Mapping[str, Recorded], pose: str, *, used: Collection[str]) -> list[Finding]:
     """Report topics whose clock runs at another rate than the pose's clock, relative to arrival times.
 
     Args:
         used: topics that a rig reads, if there is one.
     """
-    posed = pace(recorded[pose]) if _has_arrivals(recorded, clock) and pose in recorded else None
+    posed = pace(recorded[pose]) if _have_arrivals(recorded) and pose in recorded else None
     if posed is None or not posed.straight:
         return []
     findings = []
@@ -140,66 +124,58 @@ def check_rates(recorded: Mapping[str, Recorded], pose: str, clock: Clock, *, us
             continue
         apart = own.rate / posed.rate - 1
         much = f"{abs(apart):.2%}" if abs(apart) > 1e-3 else f"{1e6 * abs(apart):.0f} ppm"
-        what = f"its clock runs {much} {'faster' if apart > 0 else 'slower'} than that of {pose}"
-        evidence = f"{abs(drift):.2f} s over the log, by the times of arrival: in a second of the recorder's clock "
-        evidence += f"{own.rate:.6f} s of it and {posed.rate:.6f} s of the pose's"
-        if name not in used:
-            findings.append(Finding("note", name, what, evidence, _UNREAD, 0.5))
-            continue
+        side = "faster" if apart > 0 else "slower"
+        values = {"pose": pose, "much": much, "side": side, "drift": abs(drift), "own": own.rate, "posed": posed.rate}
         cure: Cure = (RECEIVE,) if abs(posed.rate - 1) < _REAL else ()
         severity: Severity = "fatal" if abs(drift) > DRIFT_LIMIT else "warning"
-        findings.append(fixable(severity, name, what, evidence, cure, advice=_ONE))
+        finding = found("rate", name, values, cure, severity=severity)
+        findings.append(finding if name in used else _unread(finding, score=0.5))
     return findings
+
+
+def _unread(finding: Finding, *, score: float) -> Finding:
+    """Return a finding on a topic that no channel reads."""
+    return replace(finding, severity="note", remedy=_UNREAD, score=score, cures=())
 
 
 def read_by_arrival(log: Log, rig: Rig) -> bool:
     """Return whether clocks differ so much from the pose's clock that controls must be matched by arrival times."""
-    pose, clock = rig.channels["position"].topic, rig.clock
-    recorded = {}
+    pose, recorded = rig.channels["position"].topic, {}
     for name, topic in log.topics.items():
-        if not topic.fields or is_bulk(topic) or topic.part_of:
-            continue
-        with suppress(LogError):  # unreadable topics are reported elsewhere
-            time, arrived = log.stamps(name), log.stamps(name, stamps="receive")
-            other = None if np.array_equal(time, arrived, equal_nan=True) else arrived
-            recorded[name] = Recorded(topic, time, other, (), np.zeros((len(time), 0)))
+        if topic.fields and not is_bulk(topic) and not topic.part_of:
+            with suppress(LogError):  # unreadable topics are reported elsewhere
+                recorded[name] = without_values(log, name)
     if pose not in recorded:
         return False
-    apart = [other_origin(recorded, name, pose, clock, used=True) for name in recorded if name != pose]
-    apart += check_rates(recorded, pose, clock, used=recorded)
+    apart = [other_origin(recorded, name, pose, used=True) for name in recorded if name != pose]
+    apart += check_rates(recorded, pose, used=recorded)
     return any(finding is not None and finding.severity == "fatal" and finding.cures for finding in apart)
 
 
-def check_headers(recorded: Mapping[str, Recorded], clock: Clock, *, used: Collection[str]) -> list[Finding]:
+def check_headers(recorded: Mapping[str, Recorded], *, used: Collection[str]) -> list[Finding]:
     """Compare header stamps with arrival times: headers never set, or a topic's clock offset from the others.
 
     Args:
         used: topics that a rig reads, if any; findings on others are notes.
     """
-    if not _has_arrivals(recorded, clock):
+    several = {name: r for name, r in recorded.items() if len(r.time) > 2}
+    if not _have_arrivals(several):
         return []
-    both = {name: r for name, r in recorded.items() if len(r.time) > 2}
-    late = {name: float(np.nanmedian(_arrivals(r) - r.time)) for name, r in both.items()}
+    late = {name: float(np.nanmedian(r.arrival - r.time)) for name, r in several.items()}
     usual = float(np.median(list(late.values())))
     findings = []
-    for name, r in both.items():
-        if r.other is not None and np.ptp(r.time) == 0:
-            what, evidence, score = "all header stamps are equal", f"{r.time[0]:.3f} s in {len(r.time)} messages", 1.0
-        elif APART < abs(late[name] - usual) < ORIGINS and len(both) > 1:
-            what, score = "its header's clock is apart from the others'", 0.6
-            evidence = f"arrival is {late[name]:.2f} s after the header, {usual:.2f} s for the topic in the middle"
+    for name, r in several.items():
+        if r.arrived is not None and np.ptp(r.time) == 0:
+            finding = found("headers_unset", name, {"time": r.time[0], "count": len(r.time)}, (RECEIVE,))
+        elif APART < abs(late[name] - usual) < ORIGINS and len(several) > 1:
+            finding = found("header_apart", name, {"late": late[name], "usual": usual}, (RECEIVE,))
         else:
             continue
-        if used and name not in used:
-            findings.append(Finding("note", name, what, evidence, _UNREAD, score))
-        else:
-            findings.append(fixable("warning", name, what, evidence, (RECEIVE,), score=score))
+        findings.append(finding if name in used or not used else _unread(finding, score=finding.score))
     return findings
 
 
-def check_steps(
-    recorded: Mapping[str, Recorded], clock: Clock, *, used: Collection[str], set_back: SetBack | None
-) -> list[Finding]:
+def check_steps(recorded: Mapping[str, Recorded], *, used: Collection[str], set_back: SetBack | None) -> list[Finding]:
     """Report a step back of the clocks of all topics at the same time.
 
     Args:
@@ -209,22 +185,20 @@ def check_steps(
     topics = [r for name, r in recorded.items() if (name in used or not used) and len(r.rising) > 20]
     cure: Cure = ()
     if set_back is not None:
-        step = set_back if any(r.other is None or not _steady(r, set_back) for r in topics) else None
+        step = set_back if any(not _steady(r, set_back) for r in topics) else None
     else:
         step = common_step([topic.time for topic in topics])
-        cure = (RECEIVE,) if clock.stamps == "header" and all(r.other is not None for r in topics) else ()
+        cure = (RECEIVE,) if all(r.arrived is not None for r in topics) else ()
     if step is None:
         return []
-    what = f"all clocks step back by {step.by:.2f} s"
-    evidence = f"at {step.time - beginning(recorded):.2f} s, stamp {step.time:.3f} s; "
-    evidence += "the samples around it are in no order"
-    how = "cut the log there, and give both parts: the clock was set while it was recorded"
-    return [fixable("fatal", "log", what, evidence, cure, advice=how)]
+    return [
+        found("steps_back", "log", {"by": step.by, "at": step.time - beginning(recorded), "stamp": step.time}, cure)
+    ]
 
 
 def _steady(topic: Recorded, set_back: SetBack) -> bool:
     """Return whether header stamps continued when the recorder's clock stepped back: the delay drops by the step."""
-    arrived = _arrivals(topic)
+    arrived = topic.arrival
     before, after = arrived < set_back.time - set_back.by, arrived > set_back.time
     if not before.any() or not after.any():
         return False
@@ -269,22 +243,23 @@ def check_clocks(recorded: Mapping[str, Recorded], path: DrivenPath, rig: Rig, *
         low, middle, high = np.percentile(lag, (5, 50, 95))
         if all(map(control_of, readers)) and _LEADS < low <= high < _LATE:
             continue  # a commanded speed, followed by the vehicle's
-        evidence = f"{field_in_words(wheel.topic, wheel.field)} follows the speed (correlation "
-        evidence += f"{wheel.correlation:.2f}), {low:+.2f} to {high:+.2f} s late (5 to 95 %)"
+        field = field_in_words(wheel.topic, wheel.field)
+        values = {"field": field, "correlation": wheel.correlation, "low": low, "high": high}
         # Leads caused by wheel slip are harmless if no model reads channels of that clock.
         severity: Severity = "warning" if readers.keys() - {"wheel_speed"} else "note"
         if high - low <= _CHANGE:
             late = [name for name, source in readers.items() if abs(middle - source.delay) > _LATE]
-            late = late if abs(middle) > _LATE else []
             cure = tuple(Edit(f"channels.{name}.delay", round(float(middle), 2)) for name in late)
-            what, score = "is late" if middle > 0 else "is early", 0.8
+            code = "is_late" if middle > 0 else "is_early"
+            if not late or abs(middle) <= _LATE:
+                continue
         elif _slips(low, high, shares_pose=bool(together & besides)):
             continue
         else:
             speeds = {"topic": wheel.topic, "fields": [wheel.field], "scale": rounded(wheel.scale)}
             cure = (Edit("alignment", {"topics": shared, "speed": speeds, "max_lag": _MAX_LAG}),)
-            what, score = "has a clock that drifts", 0.9
-        findings += [fixable(severity, ", ".join(shared), what, evidence, cure, score=score)] if cure else []
+            code = "drifts"
+        findings.append(found(code, ", ".join(shared), values, cure, severity=severity))
     return findings
 
 

@@ -68,7 +68,7 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], D
     findings: list[Finding] = []
     if pose in topics.inspected:
         spans = topics.inspected, pose
-        findings += check_spans(*spans, rig.clock, used=topics.given, channels=rig.channels, silent=topics.silent)
+        findings += check_spans(*spans, used=topics.given, channels=rig.channels, silent=topics.silent)
     tilted = _check_orientation(topics.recorded, rig)
     findings += tilted
     try:

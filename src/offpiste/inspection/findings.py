@@ -1,22 +1,22 @@
 """Findings: problems that an inspection reports about a log, and their fixes."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Final, Literal
 
-import numpy as np
-from jaxtyping import Float
-
+from offpiste.core.limits import packaged_table
 from offpiste.rig.edits import Edit
 
 Severity = Literal["fatal", "warning", "note"]
-EXCHANGED = "latitude and longitude are exchanged"
-"""Description of positions that the rig reads in the wrong order."""
-TIPPED = "climbs as much as it drives"
-"""Description of a position whose z is not up."""
 
 Cure = tuple[Edit, ...]
 """Rig edits applied together."""
+MESSAGES: Final = packaged_table("offpiste.inspection", "messages.toml")
+"""Descriptions, evidence and remedies of findings, by code (see messages.toml)."""
+EXCHANGED: Final[str] = MESSAGES["exchanged"]["what"]
+"""Description of positions that the rig reads in the wrong order."""
+TIPPED: Final[str] = MESSAGES["tipped"]["what"]
+"""Description of a position whose z is not up."""
 _NAMED = 4
 """Maximum number of fields named by a finding."""
 _ORDER: dict[Severity, int] = {"fatal": 0, "warning": 1, "note": 2}
@@ -49,20 +49,39 @@ class Finding:
     also: tuple[str, ...] = ()
 
 
+def found(
+    code: str,
+    where: str,
+    values: Mapping[str, Any],
+    *cures: Cure,
+    severity: Severity | None = None,
+    score: float | None = None,
+    remedy: str = "remedy",
+) -> Finding:
+    """Return a finding in the words of messages.toml.
+
+    Args:
+        code: name of the message.
+        where: topic, field or channel.
+        values: values of its placeholders, besides `score` and `fix`, the first fix.
+        cures: candidate fixes, most likely first; empty ones are dropped.
+        severity, score: override the message's.
+        remedy: which of the message's remedies to take without a fix.
+    """
+    message, known = MESSAGES[code], tuple(cure for cure in cures if cure)
+    score = message.get("score", 1.0) if score is None else score
+    advice = message.get("fixed", "{fix}") if known else message.get(remedy, "")
+    values = {**values, "score": score, "fix": ", ".join(map(str, known[0])) if known else ""}
+    what, evidence, how = (text.format(**values) for text in (message["what"], message["evidence"], advice))
+    return Finding(severity or message["severity"], where, what, evidence, how, score, known)
+
+
 def fixable(
     severity: Severity, where: str, what: str, evidence: str, *cures: Cure, score: float = 1.0, advice: str = ""
 ) -> Finding:
     """Return a finding whose remedy is its first fix, or advice if it has none; empty fixes are dropped."""
     known = tuple(cure for cure in cures if cure)
     return Finding(severity, where, what, evidence, ", ".join(map(str, known[0])) if known else advice, score, known)
-
-
-def of_runs(name: str, what: str, lasts: Float[np.ndarray, " r"], longest: str, driving: float) -> Finding:
-    """Return a warning about runs of these lengths [s], the longest in words, during some time of driving [s]."""
-    times = "once" if len(lasts) == 1 else f"{len(lasts)} times, {lasts.sum():.1f} s in all"
-    how = "no rig line fixes it: cut the log there, or leave the channel out"
-    share = min(float(lasts.sum()) / max(driving, 1.0), 1.0)
-    return Finding("warning", name, what, f"{times}, {longest}", how, share)
 
 
 def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:

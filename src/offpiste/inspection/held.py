@@ -1,7 +1,8 @@
 """Checks of channels that hold one value while the vehicle moves: a stuck sensor or driver, or a lost connection."""
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -10,7 +11,7 @@ from offpiste.core.channels import control_of
 from offpiste.core.conventions import SIGMA_PER_MEDIAN
 from offpiste.inspection.course import course_minus_heading, straight_rows
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath, on_path
-from offpiste.inspection.findings import Finding, of_runs
+from offpiste.inspection.findings import Finding, found
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.rig import Rig
@@ -57,11 +58,8 @@ def check_frozen(drive: Drive, path: DrivenPath) -> list[Finding]:
         begin, _, lasts, turns = _frozen(channel, path, drive.rig)
         if name == "position" or not len(begin):
             continue
-        longest = int(lasts.argmax())
-        run = f"the longest for {lasts[longest]:.1f} s from {begin[longest] - channel.time[0]:.2f} s on; "
-        usual = f"99 % of its other values last {1 / _UNUSUAL:.0%} of that or less"
-        run += "the vehicle turns to and fro meanwhile" if turns[longest] else usual
-        findings.append(of_runs(name, "holds one value while the vehicle moves", lasts, run, path.driving))
+        code = "frozen_in_turns" if turns[lasts.argmax()] else "frozen"
+        findings.append(_of_runs(code, channel, begin, lasts, path, {"usual": 1 / _UNUSUAL}))
     return findings
 
 
@@ -86,12 +84,23 @@ def check_dropouts(drive: Drive, path: DrivenPath) -> list[Finding]:
         if not shown.any():
             continue
         runs, begin, lasts = runs[shown], begin[shown], (end - begin)[shown]
-        longest = int(lasts.argmax())
-        to = ", ".join(f"{value:.3g}" for value in channel.values[runs[longest, 0]])
-        run = f"to {to} for {lasts[longest]:.1f} s from {begin[longest] - channel.time[0]:.2f} s on"
-        run += "; the steps there and back are larger than all others"
-        findings.append(of_runs(name, "falls to one value and comes back", lasts, run, path.driving))
+        to = ", ".join(f"{value:.3g}" for value in channel.values[runs[lasts.argmax(), 0]])
+        findings.append(_of_runs("dropouts", channel, begin, lasts, path, {"to": to}))
     return findings
+
+
+def _of_runs(
+    code: str,
+    channel: Channel,
+    begin: Float[np.ndarray, " r"],
+    lasts: Float[np.ndarray, " r"],
+    path: DrivenPath,
+    about: Mapping[str, Any],
+) -> Finding:
+    """Return a finding on runs of samples, by their starts and durations [s]."""
+    times = "once" if len(lasts) == 1 else f"{len(lasts)} times, {lasts.sum():.1f} s in all"
+    share, since = min(float(lasts.sum()) / max(path.driving, 1.0), 1.0), begin[lasts.argmax()] - channel.time[0]
+    return found(code, channel.name, {"times": times, "longest": lasts.max(), "since": since, **about}, score=share)
 
 
 def while_held(channel: Channel, path: DrivenPath, rig: Rig, *, beside: float) -> Bool[np.ndarray, " n"]:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import median_filter
 
 from offpiste.inspection.driven_path import MOVING, DrivenPath
-from offpiste.inspection.findings import TIPPED, Finding, Severity
+from offpiste.inspection.findings import Cure, Finding, found
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.logs.pose_faults import DroppedRun
@@ -43,24 +43,18 @@ def check_level(place: Channel, rig: Rig, beside: Collection[str]) -> list[Findi
         return []
     fields = rig.channels["position"].fields
     if [named_axis(field) for field in fields] == ["z", "x", "y"]:
-        evidence = f"'{fields[0]}' and '{fields[1]}' are read as x and y, as of a right-handed frame whose y is up"
         other = Edit("channels.position.fields", [fields[1], fields[0], fields[2]])
-        how = f"none; in one that is left-handed, as of games, {other}, and so for velocities"
-        return [Finding("note", "position", "left and right may be exchanged", evidence, how, 1.0)]
+        return [found("mirrored", "position", {"x": fields[0], "y": fields[1], "other": other})]
     smooth = np.stack([median_filter(c, 11, mode="nearest") for c in place.values.T], axis=1)
     spread = np.ptp(smooth, axis=0)
     y_up = bool(spread[1] < _LEVEL * min(spread[0], spread[2])) and _climbs(smooth, 2) and not _climbs(smooth, 1)
     if not y_up and (spread[2] < 0.7 * np.hypot(*spread[:2]) or spread[2] < 1):
         return []
-    evidence = f"x, y, z span {spread[0]:.1f}, {spread[1]:.1f}, {spread[2]:.1f} m"
-    how = "reorder channels.position.fields so that z is up, or take another pose (this may be a camera's frame)"
-    cures: tuple[tuple[Edit, ...], ...] = ()
+    cures: tuple[Cure, ...] = ()
     if y_up or spread[1] < _LEVEL * min(spread[0], spread[2]):
         cures = tuple(tuple(_with_y_up(rig, order, beside)) for order in _Y_UP)
-        first = ", ".join(map(str, cures[0]))
-        how = f"{first}, as y is up; or {cures[1][0]}, if that frame is left-handed, as of games"
-    severity: Severity = "fatal" if cures else "warning"
-    return [Finding(severity, "position", TIPPED, evidence, how, 0.9, cures)]
+    values = {"x": spread[0], "y": spread[1], "z": spread[2], "left": cures[1][0] if cures else ""}
+    return [found("tipped", "position", values, *cures, severity="fatal" if cures else "warning")]
 
 
 def _with_y_up(rig: Rig, order: Sequence[int], beside: Collection[str]) -> Iterator[Edit]:
@@ -87,15 +81,13 @@ def check_repeats(drive: Drive, path: DrivenPath) -> list[Finding]:
     old = {name: share for name in (*POSE, "linear_velocity") if (share := _repeats(drive, path, name)) > 0}
     if "position" not in old:
         return []
-    place, window = drive.channels["position"], drive.rig.motion.window
-    between = float(np.median(np.diff(place.time))) / (1 - old["position"])
+    recorded, window = float(np.median(np.diff(drive.channels["position"].time))), drive.rig.motion.window
+    between = recorded / (1 - old["position"])
     cure = tuple(Edit(f"channels.{name}.repeats", "drop") for name in old)
     if window < _ENOUGH * between:
         cure += (Edit("motion.window", round(5 * between, 2)),)
-    evidence = f"{old['position']:.0%} of the samples of a moving vehicle are equal to the one before: it is measured "
-    evidence += f"{1 / between:.3g} times a second, and recorded {1 / float(np.median(np.diff(place.time))):.3g} times"
-    how = ", ".join(map(str, cure))
-    return [Finding("warning", "position", "repeats its last value", evidence, how, 0.8, (cure,))]
+    values = {"share": old["position"], "measured": 1 / between, "recorded": 1 / recorded}
+    return [found("repeats", "position", values, cure)]
 
 
 def _repeats(drive: Drive, path: DrivenPath, name: str) -> float:
@@ -141,8 +133,7 @@ def check_seldom(drive: Drive) -> list[Finding]:
     if not name or window >= _ENOUGH * steps[name]:
         return []
     edit = Edit("motion.window", round(5 * steps[name], 2))
-    evidence = f"{1 / steps[name]:.3g} samples a second: fewer than four in the {window:g} s that rates are fitted over"
-    return [Finding("fatal", name, "comes too seldom to differentiate", evidence, str(edit), 1.0, ((edit,),))]
+    return [found("seldom", name, {"rate": 1 / steps[name], "window": window}, (edit,))]
 
 
 def check_faults(drive: Drive) -> list[Finding]:
@@ -155,23 +146,18 @@ def check_faults(drive: Drive) -> list[Finding]:
         runs = [run for run in dropped if run.channel == name]
         if name != "position" and {(run.start, run.end) for run in runs} <= places:
             continue  # already reported for the position
-        count, worst = sum(run.last - run.first + 1 for run in runs), max(runs, key=lambda run: run.off)
+        worst, lasts = max(runs, key=lambda run: run.off), np.array([run.until - run.after for run in runs])
+        remedy = "short" if lasts.max() < drive.rig.clock.max_gap else "remedy"
+        share = min(float(lasts[np.isfinite(lasts)].sum()) / length, 1.0)
+        values = {"count": sum(run.last - run.first + 1 for run in runs), "runs": len(runs), "off": worst.off}
+        values |= {"first": worst.first, "last": worst.last, "since": worst.since}
         unit = "m" if name == "position" else "rad"
-        evidence = (
-            f"{count} samples in {len(runs)} runs, such as {worst.first} to {worst.last} ({worst.since:.2f} s), up to "
-        )
-        evidence += f"{worst.off:.3g} {unit} off"
-        how = "no action needed if enough data remains: they are dropped on reading, and no window reaches across"
-        if max(run.until - run.after for run in runs) < drive.rig.clock.max_gap:
-            how += "; in a short log delete these rows, since gaps as short are bridged"
-        share = min(sum(run.until - run.after for run in runs if np.isfinite(run.until - run.after)) / length, 1.0)
-        findings.append(Finding("warning", name, "has samples that no vehicle makes", evidence, how, share))
+        findings.append(found("implausible", name, {"unit": unit, **values}, score=share, remedy=remedy))
     turns = [jump for jump in drive.faults.jumps if jump.channel != "position"]
     if turns:
         when = ", ".join(f"{jump.since:.2f} s" for jump in turns[:5]) + (", ..." if len(turns) > 5 else "")
-        evidence = f"{len(turns)} times; at {when}"
-        how = "take a heading without corrections; no window reaches across"
-        findings.append(Finding("warning", turns[0].channel, "jumps", evidence, how, min(5 * len(turns) / length, 1.0)))
+        score = min(5 * len(turns) / length, 1.0)
+        findings.append(found("jumps", turns[0].channel, {"count": len(turns), "when": when}, score=score))
     return findings
 
 
@@ -183,12 +169,9 @@ def _held(runs: Sequence[DroppedRun], length: float) -> list[Finding]:
     """
     if not runs:
         return []
-    seconds = [min(run.until, run.end) - run.after for run in runs]
-    longest = int(np.argmax(seconds))
-    worst = runs[longest]
+    seconds = np.array([min(run.until, run.end) - run.after for run in runs])
+    worst = runs[int(seconds.argmax())]
     times = "once" if len(runs) == 1 else f"{len(runs)} times"
     then = f", after which it jumps by {worst.off:.3g} m" if np.isfinite(worst.until) else ", to the end of the log"
-    evidence = f"{times}, such as for {seconds[longest]:.1f} s from {worst.since:.2f} s on{then}"
-    how = "no action needed if enough data remains: these samples are dropped on reading, and no window reaches across"
-    share = min(sum(seconds) / length, 1.0)
-    return [Finding("warning", "position", "holds one place while the vehicle drives on", evidence, how, share)]
+    values = {"times": times, "longest": seconds.max(), "since": worst.since, "then": then}
+    return [found("held_place", "position", values, score=min(float(seconds.sum()) / length, 1.0))]

@@ -35,13 +35,13 @@ class Recorded:
 
     Attributes:
         time: stamps selected by the rig [s].
-        other: stamps of the other clock (arrival if `time` is the header's) [s]; None if the log has only one clock.
+        arrived: arrival times beside header stamps [s]; None if `time` holds them, or the log has only one clock.
         fields, values: field names, and one column per field.
     """
 
     topic: Topic
     time: Float[np.ndarray, " n"]
-    other: Float[np.ndarray, " n"] | None
+    arrived: Float[np.ndarray, " n"] | None
     fields: tuple[str, ...]
     values: Float[np.ndarray, "n k"]
 
@@ -49,6 +49,11 @@ class Recorded:
     def rising(self) -> Float[np.ndarray, " m"]:
         """Finite, strictly increasing stamps that reading keeps [s]."""
         return rising(self.time)
+
+    @property
+    def arrival(self) -> Float[np.ndarray, " n"]:
+        """Arrival times, as far as the log knows them [s]."""
+        return self.time if self.arrived is None else self.arrived
 
     def has(self, source: ChannelSource) -> bool:
         """Return whether the topic has all fields that a channel reads."""
@@ -239,13 +244,30 @@ def read_topics(
         findings += [Finding("warning", name or "table", e.what, "on reading it", e.how, 1.0) for e in errors]
         if not readable:
             continue
-        samples = log.read(name, readable, stamps=stamps)
-        other = log.stamps(name, stamps="receive" if stamps == "header" else "header")
-        same = np.array_equal(other, samples.time, equal_nan=True)
+        samples, arrived = log.read(name, readable, stamps=stamps), _arrived(log, name, stamps)
         order = np.argsort(samples.time, kind="stable") if clock.sort else slice(None)
-        arrived = None if same else other[order]
+        arrived = None if arrived is None else arrived[order]
         recorded[name] = Recorded(topic, samples.time[order], arrived, readable, samples.values[order])
     return recorded, findings
+
+
+def without_values(log: Log, name: str, *, stamps: str = "header", delay: float = 0.0) -> Recorded:
+    """Return a topic without its values.
+
+    Args:
+        stamps: "header" or "receive".
+        delay: subtracted from the stamps [s].
+    """
+    time = log.stamps(name, stamps=stamps) - delay
+    return Recorded(log.topics[name], time, _arrived(log, name, stamps), (), np.zeros((len(time), 0)))
+
+
+def _arrived(log: Log, name: str, stamps: str) -> Float[np.ndarray, " n"] | None:
+    """Return the arrival times of a topic [s]; None if its stamps are arrival times."""
+    if stamps == "receive":
+        return None
+    header, arrived = log.stamps(name), log.stamps(name, stamps="receive")
+    return None if np.array_equal(header, arrived, equal_nan=True) else arrived
 
 
 def _readable(log: Log, name: str, fields: tuple[str, ...], stamps: str) -> tuple[tuple[str, ...], list[LogError]]:

@@ -5,7 +5,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -14,7 +14,7 @@ from scipy.ndimage import median_filter
 
 from offpiste.core.channels import all_actuators, all_controls, control_of
 from offpiste.core.errors import RigError
-from offpiste.inspection.findings import EXCHANGED, Cure, Finding, Severity, fixable, of_one_cause
+from offpiste.inspection.findings import Cure, Finding, Severity, found, of_one_cause
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.signal_faults import (
     COUNTED_DEGREES,
@@ -56,9 +56,6 @@ _LARGER: Final = 2.0
 """Minimum ratio of a step into invalid values to the 99.5th percentile of the steps between valid ones."""
 _DROPPED: Final = 0.005
 """Minimum reported share of measurements dropped by `valid`."""
-_TOO_FAR: Final = (
-    "no road wheel turns so far: if it is the steering wheel, channels.{}.scale is 1 over the steering's ratio"
-)
 
 
 @dataclass(frozen=True)
@@ -86,14 +83,16 @@ class Signal:
         """Return the recorded values that may be measurements."""
         return self.raw[np.abs(self.raw) <= self.largest]
 
-    def fixed(self, what: str, evidence: str, share: float, entry: str, value: object) -> Finding:
-        """Return a warning fixed by one entry of the channel; a note with advice if no channel reads the signal."""
-        if not self.channel:
-            advice = f"where a channel reads it: {entry} = {toml_value(value)}"
-            return Finding("note", self.where, what, evidence, advice, share)
-        return fixable(
-            "warning", self.where, what, evidence, (Edit(f"channels.{self.channel}.{entry}", value),), score=share
-        )
+    @property
+    def severity(self) -> Severity:
+        """Severity of a defect: "note" if no channel reads the signal."""
+        return "warning" if self.channel else "note"
+
+    def fixed(self, code: str, about: Mapping[str, Any], share: float, entry: str, value: object) -> Finding:
+        """Return a finding that one entry of the channel fixes, which is advice if no channel reads the signal."""
+        cure = (Edit(f"channels.{self.channel}.{entry}", value),) if self.channel else ()
+        about = {**about, "entry": f"{entry} = {toml_value(value)}"}
+        return found(code, self.where, about, cure, severity=self.severity, score=share)
 
 
 def field_in_words(topic: str, field: str) -> str:
@@ -143,10 +142,10 @@ def check_signals(signals: Sequence[Signal], rig: Rig | None) -> list[Finding]:
     dead = [signal.where for signal in varying if not signal.channel and np.ptp(signal.known) == 0]
     for signal in varying:
         defects = (defect(signal, rig) for defect in _DEFECTS)
-        findings += [found for found in [next(filter(None, defects), None)] if found is not None]
+        findings += [first for first in [next(filter(None, defects), None)] if first is not None]
     if dead:
-        evidence = f"{len(dead)}: {', '.join(dead[:12])}{', ...' if len(dead) > 12 else ''}"
-        findings.append(Finding("note", "fields", "never change", evidence, "do not feed channels from them"))
+        names = ", ".join(dead[:12]) + (", ..." if len(dead) > 12 else "")
+        findings.append(found("dead", "fields", {"count": len(dead), "names": names}))
     return findings
 
 
@@ -155,17 +154,13 @@ def _not_finite(signal: Signal) -> Finding | None:
     at, count = np.flatnonzero(bad & ~empty), int((~empty).sum())
     if not len(at):
         return None
-    share = len(at) / count
-    how = "no action needed if enough data remains: those samples are dropped on reading"
+    share, remedy = len(at) / count, "remedy"
     if not signal.channel:
-        how = "no action needed: no channel reads it"
+        remedy = "unread"
     elif share >= 0.5:
-        how = f'declare it absent: absent = ["{signal.channel}"]'
-        if signal.channel in (*POSE, "steer"):
-            how = "take another field, unless enough samples remain: those are dropped on reading"
-    evidence = f"{len(at)} of {count} samples ({share:.1%}), the first {at[0]}, the last {at[-1]}"
-    severity: Severity = "warning" if signal.channel else "note"
-    return Finding(severity, signal.where, "values are NaN, infinite or beyond any measurement", evidence, how, share)
+        remedy = "needed" if signal.channel in (*POSE, "steer") else "absent"
+    values = {"bad": len(at), "count": count, "first": at[0], "last": at[-1], "channel": signal.channel}
+    return found("not_finite", signal.where, values, severity=signal.severity, score=share, remedy=remedy)
 
 
 def _never_changing(signal: Signal, rig: Rig | None) -> Finding | None:
@@ -173,16 +168,13 @@ def _never_changing(signal: Signal, rig: Rig | None) -> Finding | None:
     name = signal.channel
     if np.ptp(signal.known) > 0 or not name or known_channels()[name][1] != (1,) or name == "yaw":
         return None
-    evidence = f"{signal.raw[np.isfinite(signal.raw)][0]:g} in all {len(signal.raw)} samples"
+    values = {"value": signal.raw[np.isfinite(signal.raw)][0], "count": len(signal.raw)}
     if rig is None or not is_untouched(name, signal.values):
-        cure = absent(name, rig) if rig else ()
-        return fixable("warning", signal.where, "never changes", evidence, cure, advice="declare it absent")
+        return found("constant", signal.where, values, absent(name, rig) if rig else ())
     if signal.values[0] <= 0.5:
-        how = "no action needed if nobody braked"
-        return Finding("note", signal.where, "is never pressed", evidence, how)
-    turned = ", ".join(map(str, scaled_to_unit(name, rig.channels[name], (0.0, 1.0), turned=True)))
-    how = f"if nobody braked, it is the wrong way round: {turned}"
-    return Finding("note", signal.where, "stays where it is fully pressed", evidence, how)
+        return found("never_pressed", signal.where, values)
+    turned = scaled_to_unit(name, rig.channels[name], (0.0, 1.0), turned=True)
+    return found("fully_pressed", signal.where, {**values, "turned": ", ".join(map(str, turned))})
 
 
 def _wrapped(signal: Signal, _: Rig | None) -> Finding | None:
@@ -190,10 +182,10 @@ def _wrapped(signal: Signal, _: Rig | None) -> Finding | None:
     if (wrap := find_wrap(raw)) is None:
         return None
     above = raw > wrap.above
-    evidence = f"{above.sum()} of {len(raw)} samples ({above.mean():.1%}) lie between {raw[above].min():g} and "
-    evidence += f"{raw.max():g}, the others below {raw[~above].max():g}"
-    what, entry = "wraps around like a 16-bit counter below zero", {"above": wrap.above, "period": wrap.period}
-    return signal.fixed(what, evidence, float(above.mean()), "wrap", entry)
+    about = {"above": above.sum(), "count": len(raw), "top": raw.max(), "low": raw[~above].max()}
+    about["least"] = raw[above].min()
+    entry = {"above": wrap.above, "period": wrap.period}
+    return signal.fixed("wrapped", about, float(above.mean()), "wrap", entry)
 
 
 def _spiked(signal: Signal, _: Rig | None) -> Finding | None:
@@ -214,17 +206,14 @@ def _spiked(signal: Signal, _: Rig | None) -> Finding | None:
     if at.max() < ceiling + room and at.min() > floor - room:
         return None
     low, high = min(low, signal.beside[0]), max(high, signal.beside[1])
-    evidence = f"{spikes.sum()} of {len(values)} samples, between {at.min():.4g} and {at.max():.4g} where the others "
-    evidence += f"lie between {usual.min():.4g} and {usual.max():.4g}"
-    inside = int(((at >= low) & (at <= high)).sum())
+    inside, share = int(((at >= low) & (at <= high)).sum()), float(spikes.mean())
+    about = {"spikes": spikes.sum(), "count": len(values), "least": at.min(), "most": at.max()}
+    about |= {"low": usual.min(), "high": usual.max(), "inside": ""}
     if inside > _MOST_LEFT * len(at) or np.mean((usual < low) | (usual > high)) > MAX_SPIKES:
-        how = "no range of valid values separates them from the others: take another field"
-        severity: Severity = "warning" if signal.channel else "note"
-        return Finding(severity, signal.where, "isolated spikes", evidence, how, float(spikes.mean()))
+        return found("spikes", signal.where, about, severity=signal.severity, score=share, remedy="no_range")
     if inside:
-        evidence += f"; a range of valid values removes all but {inside}"
-    valid = [rounded(low), rounded(high)]
-    return signal.fixed("isolated spikes", evidence, float(spikes.mean()), "valid", valid)
+        about["inside"] = f"; a range of valid values removes all but {inside}"
+    return signal.fixed("spikes", about, share, "valid", [rounded(low), rounded(high)])
 
 
 _DEFECTS: Final = (_never_changing, _wrapped, _spiked)
@@ -255,20 +244,17 @@ def _other_than_degrees(signals: Sequence[Signal], rig: Rig | None) -> list[Find
     if source is None or source.unit != GEOGRAPHIC or source.scale != 1 or len(both) < 2:
         return []
     raw = [signal.raw for signal in both]
-    evidence = f"around ({np.nanmedian(raw[0]):.7g}, {np.nanmedian(raw[1]):.7g}), read in degrees"
+    values = {"latitude": np.nanmedian(raw[0]), "longitude": np.nanmedian(raw[1])}
     x, y, *height = source.fields
     if (each := degrees_each(*raw)) != 1:
         cure = (Edit("channels.position.scale", each), Edit("channels.position.fields", [x, y]))
-        what = "is counted in ten-millionths of a degree" if each == COUNTED_DEGREES else "is in radians"
-        how = f"{', '.join(map(str, cure))}: a height would be scaled, too"
-        return [Finding("fatal", signal.where, what, evidence, how, 1.0, (cure,)) for signal in both]
+        code = "counted_degrees" if each == COUNTED_DEGREES else "radians"
+        return [found(code, signal.where, values, cure) for signal in both]
     if not are_off_the_earth(*raw):
         return []
     if not are_off_the_earth(*reversed(raw)):
-        swap = Edit("channels.position.fields", [y, x, *height])
-        return [fixable("fatal", "position", EXCHANGED, evidence, (swap,))]
-    how = "convert to degrees: of minutes, 60 are one; 4724.36 may be 47 degrees, 24.36 minutes; in .vbo west is +"
-    return [Finding("fatal", ", ".join(s.where for s in both), "is not in degrees", evidence, how, 1.0)]
+        return [found("exchanged", "position", values, (Edit("channels.position.fields", [y, x, *height]),))]
+    return [found("not_degrees", ", ".join(signal.where for signal in both), values)]
 
 
 def is_untouched(name: str, values: Float[np.ndarray, " n"]) -> bool:
@@ -314,21 +300,19 @@ def check_ranges(recorded: Mapping[str, Recorded], rig: Rig) -> list[Finding]:
     """Return findings on controls and actuators that exceed their limits or are clipped by the rig."""
     findings = []
     for name, source, raw in _read(recorded, rig):
-        limit, values = limits(name), _valid(_measured(name, rig, raw), source)
-        if limit is None or source.turns or len(values) < 20:
+        limit, measured = limits(name), _valid(_measured(name, rig, raw), source)
+        if limit is None or source.turns or len(measured) < 20:
             continue
-        one = _Overrun(name, rig, raw, values[:, 0], *limit)
+        one = _Overrun(name, rig, raw, measured[:, 0], *limit)
         # A released pedal may be far below 0 before clipping.
         below = one.values < (one.low - one.slack if one.low < 0 or not source.clip else -1.0)
         outside = float(np.mean(below | (one.values > one.high + one.slack)))
         if outside <= (0.005 if not source.clip else _CLIPPED if one.low == 0 else _CUT):
             continue
         first, last = np.percentile(one.values, (0.5, 99.5))
-        what = "leaves its range" if not source.clip else "is clipped much of the time"
-        evidence = f"{outside:.0%} of the samples are outside of {one.low:g} to {one.high:g}; "
-        evidence += f"99 % lie between {first:.3g} and {last:.3g}"
         cure = next(filter(None, (fix(one) for fix in _FIXES)), ())
-        findings.append(fixable("warning", name, what, evidence, cure, score=outside, advice=_TOO_FAR.format(name)))
+        values = {"low": one.low, "high": one.high, "first": first, "last": last, "channel": name}
+        findings.append(found("clipped" if source.clip else "out_of_range", name, values, cure, score=outside))
     return findings
 
 
@@ -426,21 +410,19 @@ def check_valid(recorded: Mapping[str, Recorded], rig: Rig) -> list[Finding]:
         measured = _continuing(values, outside)
         if measured.sum() <= _DROPPED * len(values):
             if 2 * outside.sum() > len(outside):  # logs may mark unknown values, but rarely so often
-                evidence = f"{outside.sum()} of {len(outside)} samples ({outside.mean():.1%}); "
-                evidence += "rows without them are not complete"
-                what, how = "valid drops most samples", "widen or remove `valid`"
-                findings.append(Finding("note", name, what, evidence, how, float(outside.mean())))
+                share = float(outside.mean())
+                findings.append(
+                    found("valid_drops_most", name, {"dropped": outside.sum(), "count": len(outside)}, score=share)
+                )
             continue
         reached = values[measured | ~outside]
         # A control's steps may hide part of its range.
         ends = np.append(reached.ravel(), limits(name) or ())
         room = np.ptp(ends) / 20
-        evidence = f"{measured.sum()} of {len(values)} samples ({measured.mean():.1%}), between "
-        evidence += f"{reached.min():.3g} and {reached.max():.3g}, lie outside of {source.valid[0]:g} to "
-        evidence += f"{source.valid[1]:g} and continue their neighbours"
         edit = Edit(f"channels.{name}.valid", [rounded(ends.min() - room), rounded(ends.max() + room)])
-        what, share = "valid drops measurements", float(measured.mean())
-        findings.append(fixable("warning", name, what, evidence, (edit,), score=share))
+        about = {"dropped": measured.sum(), "count": len(values), "least": reached.min(), "most": reached.max()}
+        about |= {"low": source.valid[0], "high": source.valid[1]}
+        findings.append(found("valid_drops", name, about, (edit,), score=float(measured.mean())))
     return findings
 
 

@@ -1,27 +1,21 @@
-"""Checks of image and point cloud stamps, and of point times."""
+"""Defects of image and point cloud stamps, and of point times."""
 
 from dataclasses import replace
 from itertools import islice
 from typing import Final
 
 import msgspec
-import numpy as np
 
 from offpiste.inspection.clocks import APART, DRIFT, ORIGINS
-from offpiste.inspection.findings import Finding, Severity
-from offpiste.inspection.recorded_log import Recorded
+from offpiste.inspection.findings import MESSAGES, Finding, Severity, found
+from offpiste.inspection.recorded_log import Recorded, without_values
 from offpiste.inspection.stamps import check_spans, check_stamps
 from offpiste.logs.clock_drift import clock_difference
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import lines, misread_times, proposed_times
 from offpiste.logs.sensor_log import SensorLog
-from offpiste.rig.channels import ChannelSource
 from offpiste.rig.edits import Edit
-from offpiste.rig.rig import Rig
 from offpiste.rig.sensors import CameraSource, LidarSource
-
-Source = CameraSource | LidarSource | ChannelSource
-"""Topic and delay of a sensor or the pose."""
 
 _PAUSE: Final = 1.0
 """Minimum gap of a sensor [s]; images are infrequent and not interpolated."""
@@ -31,6 +25,8 @@ _SCANS: Final = 5
 """Number of scans whose point times are checked."""
 _HALF: Final = 0.5
 """Maximum share of the drive without a sensor for a note instead of a warning."""
+_OF_CHANNELS: Final = {"clock.unit", "clock.max_gap"}
+"""Entries that state the unit and longest gap of channels, not of images."""
 
 
 def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
@@ -40,29 +36,30 @@ def check_sensor_stamps(log: Log, sensors: SensorLog) -> list[Finding]:
     apply to all topics, and sensors are not read again to test a fix.
     """
     rig, place = sensors.rig, sensors.rig.channels["position"]
-    clock = msgspec.structs.replace(rig.clock, max_gap=max(_PAUSE, rig.clock.max_gap))
-    sources: dict[str, Source] = {f"cameras.{name}": camera.source for name, camera in sensors.cameras.items()}
+    sources: dict[str, CameraSource | LidarSource] = {f"cameras.{n}": c.source for n, c in sensors.cameras.items()}
     sources |= {f"lidars.{name}": lidar.source for name, lidar in sensors.lidars.items()}
-    pose = _recorded(log, place, rig)
-    recorded = {source.topic: _recorded(log, source, rig) for source in sources.values()}
-    several = {topic: r for topic, r in recorded.items() if len(r.time) > 2}
-    # The unit and the longest gap of a clock are those of channels, and do not apply to images.
-    of_channels = {"clock.unit", "clock.max_gap"}
-    findings = [f for f in check_stamps(several, clock, used=set(several)) if not of_channels & _edited(f)]
+    pose, *others = (
+        without_values(log, source.topic, stamps=rig.clock.stamps, delay=source.delay)
+        for source in (place, *sources.values())
+    )
+    recorded = {topic.topic.name: topic for topic in others}
+    several = {name: topic for name, topic in recorded.items() if len(topic.time) > 2}
+    clock = msgspec.structs.replace(rig.clock, max_gap=max(_PAUSE, rig.clock.max_gap))
+    findings = [f for f in check_stamps(several, clock, used=set(several)) if not _OF_CHANNELS & _edited(f)]
     result = [_in_words(finding) for finding in findings]
     unordered = {finding.where for finding in findings if finding.severity == "fatal"}
     named = {source.topic: key for key, source in sources.items() if source.topic not in unordered}
-    clocks = [f for topic, key in named.items() for f in _clock(key, sources[key], recorded[topic], pose, rig)]
+    clocks = [f for topic, key in named.items() for f in _clock(key, sources[key], recorded[topic], pose)]
     apart = unordered | {finding.where for finding in clocks}  # their spans are meaningless
     spans = {place.topic: pose} | {topic: r for topic, r in recorded.items() if topic not in apart}
-    for finding in check_spans(spans, place.topic, rig.clock, used=True):
+    for finding in check_spans(spans, place.topic, used=True):
         # Without a sensor, rows lack only visual features, which is acceptable for less than half of the drive.
         severity: Severity = "note" if finding.score < _HALF else "warning"
-        result.append(replace(finding, severity=severity))
+        remedy = finding.remedy
         if finding.severity == "fatal":
-            remedy = f"fix {named[finding.where]}.delay, or remove the sensor from the rig"
-            remedy = f"{finding.remedy}; or remove the sensor from the rig" if "origins" in finding.what else remedy
-            result[-1] = replace(result[-1], remedy=remedy, cures=())
+            how = f"{finding.remedy};" if "origins" in finding.what else f"fix {named[finding.where]}.delay,"
+            remedy = f"{how} or remove the sensor from the rig"
+        result.append(replace(finding, severity=severity, remedy=remedy, cures=()))
     return result + clocks
 
 
@@ -76,9 +73,7 @@ def _in_words(finding: Finding) -> Finding:
     severity: Severity = "note" if finding.severity == "note" else "warning"
     if not finding.cures:
         return replace(finding, severity=severity)
-    remedy = "no action needed if enough data remains: messages whose stamps repeat or go back are dropped on reading"
-    if "clock.stamps" in _edited(finding):
-        remedy += '; or clock.stamps = "receive", by which all topics are read then'
+    remedy = MESSAGES["sensors"]["receive" if "clock.stamps" in _edited(finding) else "dropped"]
     return replace(finding, severity=severity, remedy=remedy, cures=())
 
 
@@ -114,31 +109,18 @@ def check_point_times(sensors: SensorLog) -> list[Finding]:
     return result
 
 
-def _recorded(log: Log, source: Source, rig: Rig) -> Recorded:
-    """Return the stamps of a topic as read by the rig and by the other clock."""
-    topic, stamps = source.topic, rig.clock.stamps
-    other = "receive" if stamps == "header" else "header"
-    time, arrivals = log.stamps(topic, stamps=stamps), log.stamps(topic, stamps=other) if log.has_arrivals else None
-    return Recorded(log.topics[topic], time - source.delay, arrivals, (), np.zeros((len(time), 0)))
-
-
-def _clock(key: str, source: Source, sensor: Recorded, pose: Recorded, rig: Rig) -> list[Finding]:
+def _clock(key: str, source: CameraSource | LidarSource, sensor: Recorded, pose: Recorded) -> list[Finding]:
     """Return a finding if a sensor's clock drifts or is offset relative to the pose's clock, by arrival times."""
-    if rig.clock.stamps != "header" or sensor.other is None or pose.other is None:
+    if sensor.arrived is None and pose.arrived is None:
         return []
-    result = clock_difference(sensor.time, sensor.other, pose.time, pose.other)
+    result = clock_difference(sensor.time, sensor.arrival, pose.time, pose.arrival)
     if result is None or abs(result.offset) > ORIGINS:
         return []
     offset, drift = result
     if abs(drift) > DRIFT and min(len(sensor.time), len(pose.time)) >= _STAMPS:
-        what, score = "its clock drifts", min(1.0, abs(drift))
-        evidence = f"from start to end, arrival moves by {drift:+.2f} s against the header's stamp, compared with the"
-        remedy = 'synchronise its clock; or clock.stamps = "receive"'
-    elif abs(offset) > APART:
-        what, score = "its header's clock is apart from the pose's", 0.6
-        evidence = f"its messages arrive {abs(offset):.2f} s {'later' if offset > 0 else 'earlier'} after it than the"
-        remedy = f"{Edit(f'{key}.delay', round(source.delay - offset, 2))}, unless it is sent late; or "
-        remedy += 'clock.stamps = "receive"'
-    else:
-        return []
-    return [Finding("warning", sensor.topic.name, what, f"{evidence} pose", remedy, score)]
+        return [found("sensor_drifts", sensor.topic.name, {"drift": drift}, score=min(1.0, abs(drift)))]
+    if abs(offset) > APART:
+        delay = Edit(f"{key}.delay", round(source.delay - offset, 2))
+        values = {"apart": abs(offset), "side": "later" if offset > 0 else "earlier", "delay": delay}
+        return [found("sensor_apart", sensor.topic.name, values)]
+    return []

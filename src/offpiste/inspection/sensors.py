@@ -5,23 +5,24 @@ since the fit already compared the measurements at the corrected mounting and de
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from jaxtyping import Float
 
 from offpiste.calibration.camera import check_camera
 from offpiste.calibration.lidar import check_lidar
 from offpiste.calibration.map_health import MapHealth, map_health
 from offpiste.calibration.misfit import Misfit, turned
-from offpiste.calibration.mountings import AXES, mounting_entry
+from offpiste.calibration.mountings import AXES, mounting_entry, unknown
 from offpiste.calibration.own_body import AROUND, find_own_body
 from offpiste.calibration.samples import Gathered, Grey, SmallCamera, gather, small_camera
 from offpiste.core.errors import OffpisteError
 from offpiste.core.progress import track
-from offpiste.inspection.findings import Cure, Finding, Severity, fixable
+from offpiste.inspection.findings import MESSAGES, Cure, Finding, Severity, found
 from offpiste.inspection.sensor_stamps import check_point_times, check_sensor_stamps, untimed_points
 from offpiste.logs.log import Log
 from offpiste.logs.measurements import Camera, Lidar
@@ -63,9 +64,6 @@ _FROZEN: Final = 0.1
 _POSE: Final = ("position", "orientation", "yaw")
 _TURNS_OF_POSE: Final = {"channels.orientation.offset"}
 _DELAYS_OF_POSE: Final = {f"channels.{name}.delay" for name in _POSE}
-_SAME: Final = "as all sensors say the same"
-_CURED: Final = "as the pose is cured above by what the other channels show"
-"""Reasons to suspect the pose instead of a sensor."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +80,19 @@ class CheckedSensor:
     untimed: str = ""
 
     @property
+    def kind(self) -> str:
+        """Kind of the sensor: "camera" or "lidar"."""
+        return "camera" if isinstance(self.sensor, Camera) else "lidar"
+
+    @property
     def key(self) -> str:
         """Name of the sensor's table in the rig."""
-        return f"{'cameras' if isinstance(self.sensor, Camera) else 'lidars'}.{self.sensor.name}"
+        return f"{self.kind}s.{self.sensor.name}"
+
+    @property
+    def mounting(self) -> Float[np.ndarray, "4 4"]:
+        """Mounting `body_from_sensor` as in the rig."""
+        return self.sensor.body_from_camera if isinstance(self.sensor, Camera) else self.sensor.body_from_lidar
 
     @property
     def turn(self) -> tuple[float, float]:
@@ -118,55 +126,58 @@ def check_mountings(checked: Sequence[CheckedSensor], cure: Cure = ()) -> list[F
     """
     cured, result = {edit.key for edit in cure}, list[Finding]()
     for one in checked:
-        if one.misfit is None:
-            result.append(_unseen(one))
+        misfit = one.misfit
+        if misfit is None:
+            result.append(found("unseen", one.sensor.name, {"why": MESSAGES["sensors"][one.kind]["unseen"]}))
             continue
-        if isinstance(one.sensor, Lidar) and one.misfit.scale > APART:
-            result.append(_apart(one, one.misfit))
+        basis = {"pairs": misfit.pairs, "measurements": MESSAGES["sensors"][one.kind]["measurements"]}
+        if isinstance(one.sensor, Lidar) and misfit.scale > APART:
+            result.append(found("no_common_world", one.sensor.name, {**basis, "scale": misfit.scale, "key": one.key}))
             continue
         if one.is_turned:
             alike = _alike([other for other in checked if other.is_turned], slice(0, 3), TURN, len(checked))
-            result.append(_turned(one, one.misfit, _SAME if alike else _CURED if cured & _TURNS_OF_POSE else ""))
+            result.append(_turned(one, misfit, basis, "alike" if alike else "cured" if cured & _TURNS_OF_POSE else ""))
         if one.is_late:
             alike = _alike([other for other in checked if other.is_late], slice(3, 4), LATE, len(checked))
-            result.append(_late(one, one.misfit, _SAME if alike else _CURED if cured & _DELAYS_OF_POSE else ""))
-        result += _unknown(one, one.misfit)
+            result.append(_late(one, misfit, basis, "alike" if alike else "cured" if cured & _DELAYS_OF_POSE else ""))
+        vague = unknown(misfit.sigma, KNOWN_TURN)
+        vague += [f"delay (± {misfit.sigma[3] * 1e3:.0f} ms)"] if not misfit.sigma[3] < KNOWN_LATE else []
+        if vague:
+            result.append(found("checked_in_part", one.sensor.name, {"vague": ", ".join(vague)}))
     return result
 
 
-def _turned(one: CheckedSensor, misfit: Misfit, blames_pose: str) -> Finding:
-    sensor = one.sensor
-    camera = isinstance(sensor, Camera)
-    given = sensor.body_from_camera if isinstance(sensor, Camera) else sensor.body_from_lidar
+def _turned(one: CheckedSensor, misfit: Misfit, basis: dict[str, Any], blamed: str) -> Finding:
+    """Return the finding on a rotated sensor.
+
+    Args:
+        basis: what the misfit was estimated from.
+        blamed: why the pose may be turned instead: "alike" or "cured"; "" if nothing suggests it.
+    """
+    sensor, known = one.sensor, misfit.sigma[:3] < KNOWN_TURN
     # Unknown angles keep the values of the rig.
-    matrix = turned(given, np.where(np.append(misfit.sigma[:3] < KNOWN_TURN, True), misfit.parameters, 0.0))
-    cure = Edit(f"{one.key}.{'body_from_camera' if camera else 'body_from_lidar'}", mounting_entry(matrix, 4))
-    remedy, sure = f"calibrate it again; or {cure}", not blames_pose
-    if blames_pose:
-        remedy += f"; {blames_pose}, the pose's orientation or [frames] body may be what is turned"
-    elif isinstance(sensor, Camera) and sensor.source.rectified:
-        remedy += " (of the camera before rectification, if its CameraInfo has a rotation R)"
-        sure = False
+    matrix = turned(one.mounting, np.where(np.append(known, True), misfit.parameters, 0.0))
+    fix = Edit(f"{one.key}.body_from_{one.kind}", mounting_entry(matrix, 4))
+    rectified = isinstance(sensor, Camera) and sensor.source.rectified
     angle, sigma = one.turn
-    what = f"looks {np.rad2deg(angle):.1f} degrees away from where its mounting says"
-    evidence = f"{_axes(misfit)}; {_basis(one, misfit)}"
-    score = float(min(1.0, (angle - sigma) / np.deg2rad(5)))
-    return Finding("warning", sensor.name, what, evidence, remedy, score, ((cure,),) if sure else ())
-
-
-def _late(one: CheckedSensor, misfit: Misfit, blames_pose: str) -> Finding:
-    late, sigma = float(misfit.parameters[3]), float(misfit.sigma[3])
-    what = f"is stamped {abs(late) * 1e3:.0f} ms too {'late' if late > 0 else 'early'}, against the poses"
-    evidence = f"{late * 1e3:+.1f} ms (standard deviation {sigma * 1e3:.1f}); {_basis(one, misfit)}"
-    cure = Edit(f"{one.key}.delay", round(one.sensor.source.delay + late, 3))
-    remedy, sure = str(cure), not one.untimed and not blames_pose
-    if one.untimed:
-        remedy = f"{one.untimed}; only if its scans are compensated: {remedy}"
-    elif blames_pose:
-        remedy += f"; {blames_pose}, the pose's stamps may be what is off: fix its delay instead"
-    return Finding(
-        "warning", one.sensor.name, what, evidence, remedy, min(1.0, abs(late) / 0.2), ((cure,),) if sure else ()
+    parts = zip(AXES, np.rad2deg(misfit.parameters), np.rad2deg(misfit.sigma), known, strict=False)
+    axes = ", ".join(
+        f"{axis} {turn:+.2f} (standard deviation {error:.2f})" for axis, turn, error, sure in parts if sure
     )
+    values = {**basis, "angle": np.rad2deg(angle), "axes": axes, "cure": fix}
+    cure = () if blamed or rectified else (fix,)
+    score = float(min(1.0, (angle - sigma) / np.deg2rad(5)))
+    return found("turned", sensor.name, values, cure, score=score, remedy=blamed or "rectified")
+
+
+def _late(one: CheckedSensor, misfit: Misfit, basis: dict[str, Any], blamed: str) -> Finding:
+    """Return the finding on a delayed sensor (arguments as for `_turned`)."""
+    late, sigma = 1e3 * float(misfit.parameters[3]), 1e3 * float(misfit.sigma[3])
+    fix = Edit(f"{one.key}.delay", round(one.sensor.source.delay + late / 1e3, 3))
+    values = {**basis, "late": late, "size": abs(late), "side": "late" if late > 0 else "early", "sigma": sigma}
+    values |= {"cure": fix, "untimed": one.untimed}
+    cure, remedy = () if one.untimed or blamed else (fix,), "untimed" if one.untimed else blamed
+    return found("late", one.sensor.name, values, cure, score=min(1.0, abs(late) / 200), remedy=remedy)
 
 
 def _alike(checked: Sequence[CheckedSensor], part: slice, floor: float, of: int) -> bool:
@@ -174,57 +185,9 @@ def _alike(checked: Sequence[CheckedSensor], part: slice, floor: float, of: int)
     misfits = [one.misfit for one in checked if one.misfit is not None]
     if len(misfits) < 2 or len(misfits) < of:
         return False
-    first = misfits[0]
-    return all(
-        (
-            np.abs(other.parameters[part] - first.parameters[part])
-            < SURE * np.hypot(other.sigma[part], first.sigma[part]) + floor
-        ).all()
-        for other in misfits[1:]
-    )
-
-
-def _apart(one: CheckedSensor, misfit: Misfit) -> Finding:
-    evidence = (
-        f"points of one scan lie {misfit.scale:.2f} m from the planes of another (median, scaled), {misfit.pairs} pairs"
-    )
-    remedy = f"check {one.key}: frame, mounting, time_field, time_unit and delay"
-    return Finding("warning", one.sensor.name, "its scans show no common world", evidence, remedy, 1.0)
-
-
-def _unseen(one: CheckedSensor) -> Finding:
-    camera = isinstance(one.sensor, Camera)
-    evidence = "squares of ground are not found again in the next image" if camera else "too few scans"
-    remedy = "no action needed if it is at a standstill or sees little; else check [frames] body and the mounting, "
-    remedy += "which may be far off"
-    return Finding("note", one.sensor.name, "could not be checked against the poses", evidence, remedy)
-
-
-def _unknown(one: CheckedSensor, misfit: Misfit) -> list[Finding]:
-    vague = [
-        f"{axis} (± {np.rad2deg(sigma):.1f} degrees)"
-        for axis, sigma in zip(AXES, misfit.sigma[:3], strict=True)
-        if not sigma < KNOWN_TURN
-    ]
-    vague += [f"delay (± {misfit.sigma[3] * 1e3:.0f} ms)"] if not misfit.sigma[3] < KNOWN_LATE else []
-    if not vague:
-        return []
-    remedy = "no action needed; a drive over rough ground, with turns and changes of speed, would tell"
-    return [Finding("note", one.sensor.name, "was checked in part", f"not known: {', '.join(vague)}", remedy)]
-
-
-def _axes(misfit: Misfit) -> str:
-    known = misfit.sigma[:3] < KNOWN_TURN
-    parts = [
-        f"{axis} {np.rad2deg(turn):+.2f} (standard deviation {np.rad2deg(sigma):.2f})"
-        for axis, turn, sigma, sure in zip(AXES, misfit.parameters, misfit.sigma, known, strict=False)
-        if sure
-    ]
-    return "should be turned by " + ", ".join(parts) + " degrees about the body's axes"
-
-
-def _basis(one: CheckedSensor, misfit: Misfit) -> str:
-    return f"{misfit.pairs} pairs of {'images' if isinstance(one.sensor, Camera) else 'scans'}"
+    parameters, sigma = (np.array([getattr(m, each)[part] for m in misfits]) for each in ("parameters", "sigma"))
+    apart, sure = np.abs(parameters - parameters[0]), SURE * np.hypot(sigma, sigma[0])
+    return bool((apart[1:] < sure[1:] + floor).all())
 
 
 def can_be_checked(findings: Sequence[Finding], rig: Rig) -> bool:
@@ -263,10 +226,7 @@ def check_sensors(log: Log, rig: Rig, cure: Cure = ()) -> list[Finding]:
     for name in cameras:
         findings += check_repeated_images(name, gathered.images[name])
     if sensors.notes:
-        evidence = "; ".join(sensors.notes)
-        findings.append(
-            Finding("note", "cameras and LiDARs", "are read in part", evidence, "no action needed if enough remains")
-        )
+        findings.append(found("sensors_in_part", "cameras and LiDARs", {"notes": "; ".join(sensors.notes)}))
     untimed = untimed_points(sensors)
     checked = [
         replace(one, untimed=untimed.get(one.sensor.name, ""))
@@ -323,13 +283,11 @@ def check_own_body(
     Args:
         wheels: x, y in the body frame [m].
     """
-    found = find_own_body(lidar, gathered.scans[lidar.name], poses, wheels)
-    if found is None:
+    own = find_own_body(lidar, gathered.scans[lidar.name], poses, wheels)
+    if own is None:
         return []
-    evidence = f"{found.returns:.0f} returns a scan stay at the same places of the body frame, above the ground and "
-    evidence += f"within {AROUND:g} m of the wheels, in {found.scans} scans on the way"
-    cure = Edit(f"lidars.{lidar.name}.own_body", found.box.round(2).tolist())
-    return [fixable("warning", lidar.name, "sees the vehicle itself", evidence, (cure,))]
+    cure = Edit(f"lidars.{lidar.name}.own_body", own.box.round(2).tolist())
+    return [found("own_body", lidar.name, {"returns": own.returns, "around": AROUND, "scans": own.scans}, (cure,))]
 
 
 def check_repeated_images(name: str, images: Sequence[Grey]) -> list[Finding]:
@@ -337,9 +295,7 @@ def check_repeated_images(name: str, images: Sequence[Grey]) -> list[Finding]:
     same = [np.array_equal(a.pixels, b.pixels) for a, b in pairwise(images)]
     if len(images) < 10 or np.mean(same) < _FROZEN:
         return []
-    evidence = f"{sum(same)} of {len(same)} images are identical to the previous one, bit for bit"
-    how = "record it again: its driver hangs"
-    return [Finding("warning", name, "repeats images", evidence, how, float(np.mean(same)))]
+    return [found("repeated_images", name, {"same": sum(same), "count": len(same)}, score=float(np.mean(same)))]
 
 
 def check_map_health(health: MapHealth, *, turned: bool = False) -> list[Finding]:
@@ -348,29 +304,14 @@ def check_map_health(health: MapHealth, *, turned: bool = False) -> list[Finding
     Args:
         turned: True if a LiDAR's mounting differs from the rig, which also causes apparent height drift.
     """
-    result = []
-    least = health.drift - SURE * health.drift_error
+    result, least = [], health.drift - SURE * health.drift_error
+    values = {**asdict(health), "cm": 100 * health.drift, "cm_error": 100 * health.drift_error}
     if health.drift_pairs >= LEAST_PAIRS and least > SOME_DRIFT:
-        evidence = (
-            f"the same ground is {100 * health.drift:.1f} cm higher or lower after 1 s (standard error "
-            f"{100 * health.drift_error:.1f}); {health.drift_pairs} pairs of scans 1.5 to 4 s apart"
-        )
-        remedy = "take poses from a source with a better height (LiDAR odometry, RTK); no rig line helps"
-        if turned:
-            remedy = "correct the mounting of the LiDAR that is turned, which can do this, and inspect again"
         severity: Severity = "warning" if least > MUCH_DRIFT and not turned else "note"
-        result.append(Finding(severity, "poses", "drift in height", evidence, remedy, min(1.0, health.drift / 0.2)))
+        score, remedy = min(1.0, health.drift / 0.2), "turned" if turned else "remedy"
+        result.append(found("height_drift", "poses", values, severity=severity, score=score, remedy=remedy))
     if health.ghosts > MANY_GHOSTS:
-        evidence = (
-            f"{health.ghosts:.3%} of {health.returns} returns within 25 m, from rays that pass below ground nearer by"
-        )
-        remedy = "no action needed: the map leaves them out (mapping.ghosts); other software may not"
-        result.append(Finding("note", "LiDARs", "see ghosts below the ground", evidence, remedy, health.ghosts))
+        result.append(found("ghosts", "LiDARs", values, score=health.ghosts))
     if health.moving_pairs >= LEAST_PAIRS and health.moving > MUCH_MOVING:
-        evidence = (
-            f"{health.moving:.1%} of the returns within 30 m, where rays passed through half a second earlier;"
-            f" {health.moving_pairs} pairs of scans"
-        )
-        remedy = "no action needed: near the vehicle, their trails leave the map (mapping.free_space)"
-        result.append(Finding("note", "LiDARs", "see much that moves", evidence, remedy, health.moving))
+        result.append(found("moving", "LiDARs", values, score=health.moving))
     return result
