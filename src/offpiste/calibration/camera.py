@@ -14,7 +14,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from offpiste.calibration.misfit import PRIOR, Misfit, Pair, Parameters, differentiated, fit_misfit, planes, turned
+from offpiste.calibration.misfit import (
+    FURTHEST,
+    PRIOR,
+    Misfit,
+    Pair,
+    Parameters,
+    differentiated,
+    fit_misfit,
+    planes,
+    turned,
+)
 from offpiste.calibration.samples import Grey, Scan, SmallCamera, nearest_world, pairs
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
@@ -29,7 +39,6 @@ _SQUARES: Final = 150
 """Maximum number of squares per image pair."""
 _ALIKE: Final = 0.8
 """Minimum correlation of a match."""
-_FURTHEST: Final = 40.0
 
 
 def check_camera(
@@ -142,7 +151,7 @@ def _squares(
     points = transformed(world, inverse(world_from_camera))
     result, at = project_to_pinhole(points, pinhole)
     reach = float(pinhole.matrix[0, 0]) * np.tan(np.deg2rad(1.0))
-    kept = ~occluded_points(at, points[result, 2], pinhole.size, reach=reach) & (points[result, 2] < _FURTHEST)
+    kept = ~occluded_points(at, points[result, 2], pinhole.size, reach=reach) & (points[result, 2] < FURTHEST)
     result, at = result[kept], at[kept]
     column, row = np.rint(at).astype(np.int64).T
     to_edge = (np.minimum(at, last - at) for at, last in ((column, pinhole.width - 1), (row, pinhole.height - 1)))

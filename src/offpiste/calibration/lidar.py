@@ -17,7 +17,17 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from offpiste.calibration.misfit import PRIOR, Misfit, Pair, Parameters, differentiated, fit_misfit, planes, turned
+from offpiste.calibration.misfit import (
+    FURTHEST,
+    PRIOR,
+    Misfit,
+    Pair,
+    Parameters,
+    differentiated,
+    fit_misfit,
+    planes,
+    turned,
+)
 from offpiste.calibration.samples import Grey, Scan, pairs
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
@@ -26,8 +36,6 @@ _SAMPLE: Final = 1500
 """Number of points per scan compared with planes of the other."""
 _REACH: Final = 1.0
 """Search radius for a plane [m]: a few degrees at 20 m."""
-_FURTHEST: Final = 40.0
-"""Maximum range; beyond it, points are too sparse for planes [m]."""
 GROUND: Final = np.deg2rad(1.0)
 """Standard deviation of the ground slope in the body frame, due to camber, load and suspension [rad]."""
 _LEVEL: Final = np.cos(np.deg2rad(40.0))
@@ -117,7 +125,7 @@ def _compared(lidar: Lidar, one: Scan, other: Scan, chosen: np.ndarray, poses: P
     there = other.in_world(mounting, poses, parameters)
     here = one.in_world(mounting, poses, parameters, chosen)
     known = np.flatnonzero(np.isfinite(there).all(axis=1))
-    usable = np.isfinite(here).all(axis=1) & (np.linalg.norm(one.points[chosen], axis=1) < _FURTHEST)
+    usable = np.isfinite(here).all(axis=1) & (np.linalg.norm(one.points[chosen], axis=1) < FURTHEST)
     if len(known) < 100 or not usable.any():
         return Pair(np.zeros(0), np.zeros((0, len(parameters))))
     chosen, here = chosen[usable], here[usable]

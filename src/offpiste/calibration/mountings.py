@@ -32,8 +32,8 @@ KNOWN: Final = np.deg2rad(1.2)
 """Maximum standard deviation of an estimated roll, pitch or yaw [rad]; the ground alone determines roll to 1 degree."""
 PLACE: Final = 0.15
 """Maximum standard deviation of a reported position coordinate [m]."""
-_WORLD: Final = 0.2
-"""Maximum distance of scans from each other's planes for a consistent world [m]."""
+WORLD: Final = 0.2
+"""Maximum distance of scans from each other's planes for a consistent world [m]; fault-free: 0.02 to 0.04."""
 _LINES: Final = np.deg2rad(0.3)
 """Maximum angle of matches from their epipolar lines, or from surfaces, for a valid rotation [rad]."""
 _RIVAL: Final = 1.15
@@ -198,7 +198,7 @@ def _lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses) -> EstimatedMounti
     if isinstance(found, str):
         return replace(failed, refused=f"{name}: {found}")
     scale, sigma = found.misfit.scale, found.misfit.sigma
-    if scale > _WORLD:
+    if scale > WORLD:
         return replace(
             failed, refused=f"{name}: its scans show no common world with any mounting ({scale:.2f} m apart)"
         )

@@ -88,7 +88,7 @@ def check_topics(topics: Topics) -> list[Finding]:
         findings += check_unread(recorded, rig)
     if rig is not None and given:
         findings += check_missing(recorded, rig) + check_same_pedals(rig)
-        findings += check_ranges(recorded, rig) + check_valid(recorded, rig)
+        findings += check_ranges(signals) + check_valid(recorded, rig)
         findings += check_draft_values(rig) + check_size(rig)
     return findings
 

@@ -153,26 +153,19 @@ def read_by_arrival(log: Log, rig: Rig) -> bool:
 
 
 def check_headers(recorded: Mapping[str, Recorded], *, used: Collection[str]) -> list[Finding]:
-    """Compare header stamps with arrival times: headers never set, or a topic's clock offset from the others.
+    """Report topics whose header clock is apart from the others', by the delays until arrival.
 
     Args:
         used: topics that a rig reads, if any; findings on others are notes.
     """
     several = {name: r for name, r in recorded.items() if len(r.time) > 2}
-    if not _have_arrivals(several):
+    if len(several) < 2 or not _have_arrivals(several):
         return []
     late = {name: float(np.nanmedian(r.arrival - r.time)) for name, r in several.items()}
     usual = float(np.median(list(late.values())))
-    findings = []
-    for name, r in several.items():
-        if r.arrived is not None and np.ptp(r.time) == 0:
-            finding = found("headers_unset", name, {"time": r.time[0], "count": len(r.time)}, (RECEIVE,))
-        elif APART < abs(late[name] - usual) < ORIGINS and len(several) > 1:
-            finding = found("header_apart", name, {"late": late[name], "usual": usual}, (RECEIVE,))
-        else:
-            continue
-        findings.append(finding if name in used or not used else _unread(finding, score=finding.score))
-    return findings
+    apart = {name: delay for name, delay in late.items() if APART < abs(delay - usual) < ORIGINS}
+    findings = [found("header_apart", name, {"late": late, "usual": usual}, (RECEIVE,)) for name, late in apart.items()]
+    return [f if f.where in used or not used else _unread(f, score=f.score) for f in findings]
 
 
 def check_steps(recorded: Mapping[str, Recorded], *, used: Collection[str], set_back: SetBack | None) -> list[Finding]:

@@ -1,6 +1,6 @@
 """Topics of a log, read once for all checks."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
@@ -90,16 +90,18 @@ class RememberedLog(Log):
         self._sources = (*rig.channels.values(), *((rig.alignment.speed,) if rig.alignment else ())) if rig else ()
         self._samples: dict[tuple[str, str], Samples] = {}
         self._stamps: dict[tuple[str, str], Float[np.ndarray, " n"]] = {}
-        self._opened, self._per_stamp = log.clock, 1.0
-        read = {source.topic for source in self._sources}
-        self.near = _nearest(read - set(log.topics), [name for name, topic in log.topics.items() if topic.part_of])
-        kept = {*listed(log.topics), *read, *self.near}
-        self._topics = {name: topic for name, topic in log.topics.items() if name in kept}
+        self._per_stamp = 1.0
+        topics, read = log.topics, {source.topic for source in self._sources}
+        transforms = [name for name, topic in topics.items() if topic.part_of]
+        wanted = [name for name in read - set(topics) if frame_pair(name) is not None]
+        self.near = {near for name in wanted for near in get_close_matches(name, transforms, 3, cutoff=0.0)}
+        kept = {*listed(topics), *read, *self.near}
+        self._topics = {name: topic for name, topic in topics.items() if name in kept}
 
     @property
     def clock(self) -> Clock:
         """Clock of the wrapped log."""
-        return self._opened
+        return self._log.clock
 
     @property
     def set_back(self) -> SetBack | None:
@@ -113,7 +115,7 @@ class RememberedLog(Log):
         """
         other = copy(self)
         if self._log.has_clock_unit and (clock.column or clock.unit != Clock().unit):
-            other._per_stamp = SECONDS_PER_UNIT[clock.unit] / SECONDS_PER_UNIT[self._opened.unit]
+            other._per_stamp = SECONDS_PER_UNIT[clock.unit] / SECONDS_PER_UNIT[self.clock.unit]
         return other
 
     @property
@@ -136,30 +138,30 @@ class RememberedLog(Log):
         """Return the stamps of the wrapped log [s]; implausibly large ones are infinite."""
         key = (topic, stamps)
         if key not in self._stamps:
-            time = self._samples[key].time if key in self._samples else self._log.stamps(topic, stamps=stamps)
-            self._stamps[key] = _of_usable_size(Samples(time, np.zeros((len(time), 0)))).time
+            known = self._samples.get(key)
+            self._stamps[key] = _limited(self._log.stamps(topic, stamps=stamps)) if known is None else known.time
         return self._stamps[key] * self._per_stamp
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
-        quantities = self.quantities(topic)
+        key, quantities = (topic.name, stamps), self.quantities(topic)
+        samples = self._samples.get(key)
         if not set(fields) <= set(quantities):
-            return self._in_unit(_of_usable_size(self._log.read(topic.name, fields, stamps=stamps)))
-        key = (topic.name, stamps)
-        if key not in self._samples:
-            try:
-                self._samples[key] = _of_usable_size(self._log.read(topic.name, quantities, stamps=stamps))
-            except LogError:
-                # One unreadable field must not hide the others.
-                return self._in_unit(_of_usable_size(self._log.read(topic.name, fields, stamps=stamps)))
-        samples = self._samples[key]
-        values = samples.values.view()
-        values.flags.writeable = False
-        if tuple(fields) != tuple(quantities):
-            values = values[:, [quantities.index(f) for f in fields]]
-        return self._in_unit(Samples(samples.time, values))
+            samples, quantities = None, tuple(fields)
+        elif samples is None:
+            with suppress(LogError):  # one unreadable field must not hide the others
+                samples = self._samples[key] = self._decoded(topic.name, quantities, stamps)
+        if samples is None:
+            samples, quantities = self._decoded(topic.name, fields, stamps), tuple(fields)
+        values = samples.values
+        if tuple(fields) != quantities:
+            values = values[:, [quantities.index(field) for field in fields]]
+        return Samples(samples.time * self._per_stamp, values)
 
-    def _in_unit(self, samples: Samples) -> Samples:
-        return Samples(samples.time * self._per_stamp, samples.values)
+    def _decoded(self, topic: str, fields: Sequence[str], stamps: str) -> Samples:
+        samples = self._log.read(topic, fields, stamps=stamps)
+        values = _limited(samples.values).view()
+        values.flags.writeable = False
+        return Samples(_limited(samples.time), values)
 
 
 class ReceivedLog(Log):
@@ -177,12 +179,6 @@ class ReceivedLog(Log):
 
     def _read(self, topic: Topic, fields: Sequence[str], stamps: str) -> Samples:
         return self._log.read(topic.name, fields, stamps="receive")
-
-
-def _nearest(lacking: Collection[str], transforms: Sequence[str]) -> set[str]:
-    """Return the transforms with names closest to the missing ones, at any distance."""
-    wanted = [name for name in lacking if frame_pair(name) is not None]
-    return {near for name in wanted for near in get_close_matches(name, transforms, 3, cutoff=0.0)}
 
 
 def with_fields_of(log: Log, rig: Rig) -> Rig:
@@ -207,14 +203,10 @@ def beginning(recorded: Mapping[str, Recorded]) -> float:
     return min((float(topic.rising[0]) for topic in recorded.values() if len(topic.rising)), default=0.0)
 
 
-def _of_usable_size(samples: Samples) -> Samples:
-    """Return samples with values and stamps beyond `_LARGEST` set to infinity, as squares would overflow."""
-
-    def limited(values: np.ndarray) -> np.ndarray:
-        beyond = np.abs(values) > _LARGEST
-        return np.where(beyond, np.copysign(np.inf, values), values) if beyond.any() else values
-
-    return Samples(limited(samples.time), limited(samples.values))
+def _limited(values: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Return values with those beyond `_LARGEST` set to infinity, as squares would overflow."""
+    beyond = np.abs(values) > _LARGEST
+    return np.where(beyond, np.copysign(np.inf, values), values) if beyond.any() else values
 
 
 def is_bulk(topic: Topic) -> bool:

@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -66,7 +67,9 @@ class Signal:
         where: name shown to users.
         channel: channel that reads the signal; "" if none does.
         raw: recorded values, unwrapped as defined in the rig.
-        values: values converted by the rig, without invalid ones; equal to `raw` without a rig.
+        values: values converted by the rig, without invalid ones; equal to `raw` if no channel reads the signal.
+        unclipped: plausible ones of these before the rig clips them.
+        rig: rig with the channel.
         largest: maximum recorded magnitude of a measurement.
         beside: usual minimum and maximum of the channel's other components, as one valid range applies to all.
     """
@@ -75,12 +78,14 @@ class Signal:
     channel: str
     raw: Float[np.ndarray, " n"]
     values: Float[np.ndarray, " m"]
+    unclipped: Float[np.ndarray, " k"]
+    rig: Rig | None = None
     largest: float = LARGEST
     beside: tuple[float, float] = (np.inf, -np.inf)
 
     @property
     def known(self) -> Float[np.ndarray, " k"]:
-        """Return the recorded values that may be measurements."""
+        """Recorded values that may be measurements."""
         return self.raw[np.abs(self.raw) <= self.largest]
 
     @property
@@ -106,7 +111,7 @@ def other_signals(recorded: Mapping[str, Recorded], rig: Rig | None) -> list[Sig
     """Return all recorded fields that no channel of the rig reads."""
     read = {(source.topic, field) for source in (rig.channels.values() if rig else ()) for field in source.fields}
     return [
-        Signal(field_in_words(topic, field), "", column, column)
+        Signal(field_in_words(topic, field), "", column, column, column)
         for topic, r in recorded.items()
         for field, column in zip(r.fields, r.values.T, strict=True)
         if (topic, field) not in read and not is_clock(column)
@@ -118,12 +123,13 @@ def channel_signals(recorded: Mapping[str, Recorded], rig: Rig) -> list[Signal]:
     signals = []
     for name, source, columns in _read(recorded, rig):
         converted = _valid(convert(name, source, columns, rig.vehicle), source)
+        unclipped = _valid(_measured(name, rig, columns), source)
         raw = columns if source.wrap is None else unwrapped(columns, source.wrap)
         for i, field in enumerate(source.fields[: converted.shape[1]]):
             where = f"{name} ({field_in_words(source.topic, field)})"
             most = largest_recorded(name, source, i, rig.vehicle)
             beside = _usual(np.delete(converted, i, axis=1))
-            signals.append(Signal(where, name, raw[:, i], converted[:, i], most, beside))
+            signals.append(Signal(where, name, raw[:, i], converted[:, i], unclipped[:, i], rig, most, beside))
     return signals
 
 
@@ -139,10 +145,9 @@ def check_signals(signals: Sequence[Signal], rig: Rig | None) -> list[Finding]:
     # Discrete controls are constant and jump.
     varying = [s for s in signals if (control := control_of(s.channel)) is None or not control.discrete]
     varying = [signal for signal in varying if len(signal.known) >= 10]
+    defects = (next(filter(None, (defect(signal) for defect in _DEFECTS)), None) for signal in varying)
+    findings += filter(None, defects)
     dead = [signal.where for signal in varying if not signal.channel and np.ptp(signal.known) == 0]
-    for signal in varying:
-        defects = (defect(signal, rig) for defect in _DEFECTS)
-        findings += [first for first in [next(filter(None, defects), None)] if first is not None]
     if dead:
         names = ", ".join(dead[:12]) + (", ..." if len(dead) > 12 else "")
         findings.append(found("dead", "fields", {"count": len(dead), "names": names}))
@@ -163,21 +168,21 @@ def _not_finite(signal: Signal) -> Finding | None:
     return found("not_finite", signal.where, values, severity=signal.severity, score=share, remedy=remedy)
 
 
-def _never_changing(signal: Signal, rig: Rig | None) -> Finding | None:
+def _never_changing(signal: Signal) -> Finding | None:
     """Report a constant scalar channel; as a note if it is a brake, which other logs of the vehicle may use."""
-    name = signal.channel
-    if np.ptp(signal.known) > 0 or not name or known_channels()[name][1] != (1,) or name == "yaw":
+    name, rig = signal.channel, signal.rig
+    if rig is None or np.ptp(signal.known) > 0 or known_channels()[name][1] != (1,) or name == "yaw":
         return None
     values = {"value": signal.raw[np.isfinite(signal.raw)][0], "count": len(signal.raw)}
-    if rig is None or not is_untouched(name, signal.values):
-        return found("constant", signal.where, values, absent(name, rig) if rig else ())
+    if not is_untouched(name, signal.values):
+        return found("constant", signal.where, values, absent(name, rig))
     if signal.values[0] <= 0.5:
         return found("never_pressed", signal.where, values)
     turned = scaled_to_unit(name, rig.channels[name], (0.0, 1.0), turned=True)
     return found("fully_pressed", signal.where, {**values, "turned": ", ".join(map(str, turned))})
 
 
-def _wrapped(signal: Signal, _: Rig | None) -> Finding | None:
+def _wrapped(signal: Signal) -> Finding | None:
     raw = signal.known
     if (wrap := find_wrap(raw)) is None:
         return None
@@ -188,23 +193,20 @@ def _wrapped(signal: Signal, _: Rig | None) -> Finding | None:
     return signal.fixed("wrapped", about, float(above.mean()), "wrap", entry)
 
 
-def _spiked(signal: Signal, _: Rig | None) -> Finding | None:
+def _spiked(signal: Signal) -> Finding | None:
+    """Report isolated spikes; the proposed range of valid values ends halfway to the nearest ones."""
     values, limit = unrolled(signal.values[np.isfinite(signal.values)]), limits(signal.channel)
     spikes = find_spikes(values)
     if not spikes.any():
         return None
     usual, at = values[~spikes], values[spikes]
     # A quick press stays within the pedal's range, and a bump within twice the usual span of rates.
-    floor, ceiling = float(usual.min()), float(usual.max())
-    if limit is None:
-        low, high = _extended(usual, at)
-        room = ceiling - floor
-    else:  # values inside may be real
-        room = (limit[1] - limit[0]) / 4
-        low, high = limit[0] - room / 5, limit[1] + room / 5
-        floor, ceiling = min(floor, limit[0]), max(ceiling, limit[1])
+    ends = usual if limit is None else np.append(usual, limit)
+    floor, ceiling = float(ends.min()), float(ends.max())
+    room = (ceiling - floor) / (1 if limit is None else 4)
     if at.max() < ceiling + room and at.min() > floor - room:
         return None
+    low, high = _extended((floor, ceiling), at)
     low, high = min(low, signal.beside[0]), max(high, signal.beside[1])
     inside, share = int(((at >= low) & (at <= high)).sum()), float(spikes.mean())
     about = {"spikes": spikes.sum(), "count": len(values), "least": at.min(), "most": at.max()}
@@ -228,9 +230,9 @@ def _usual(others: Float[np.ndarray, "n k"]) -> tuple[float, float]:
     return least, max((high + (high - low) / 2 for low, high in ends), default=-np.inf)
 
 
-def _extended(usual: Float[np.ndarray, " n"], spikes: Float[np.ndarray, " k"]) -> tuple[float, float]:
+def _extended(ends: tuple[float, float], spikes: Float[np.ndarray, " k"]) -> tuple[float, float]:
     """Return the usual range extended by up to half its span on both sides, excluding spikes."""
-    low, high = float(usual.min()), float(usual.max())
+    low, high = ends
     room = (high - low) / 2
     top = high + min([room, *(spikes[spikes > high] - high) / 2])
     bottom = low - min([room, *(low - spikes[spikes < low]) / 2])
@@ -270,93 +272,79 @@ def limits(channel: str) -> tuple[float, float] | None:
     return (actuators | {control.name: (control.low, control.high) for control in all_controls()}).get(channel)
 
 
-@dataclass(frozen=True)
-class _Overrun:
-    """Scalar channel with values outside its range: its source, recorded and unclipped values, and range."""
-
-    name: str
-    rig: Rig
-    raw: Float[np.ndarray, "n 1"]
-    values: Float[np.ndarray, " m"]
-    low: float
-    high: float
-
-    @property
-    def source(self) -> ChannelSource:
-        """Return the source of the channel."""
-        return self.rig.channels[self.name]
-
-    @property
-    def slack(self) -> float:
-        """Return the excess that is accepted on both sides."""
-        return (0.1 if self.low == 0 or not self.source.clip else _BEYOND) * (self.high - self.low)
-
-    def edits(self, **entries: float) -> Cure:
-        """Return the edits of entries of the channel."""
-        return tuple(Edit(f"channels.{self.name}.{key}", rounded(value)) for key, value in entries.items())
-
-
-def check_ranges(recorded: Mapping[str, Recorded], rig: Rig) -> list[Finding]:
+def check_ranges(signals: Sequence[Signal]) -> list[Finding]:
     """Return findings on controls and actuators that exceed their limits or are clipped by the rig."""
     findings = []
-    for name, source, raw in _read(recorded, rig):
-        limit, measured = limits(name), _valid(_measured(name, rig, raw), source)
-        if limit is None or source.turns or len(measured) < 20:
+    for signal in signals:
+        name, values, limit = signal.channel, signal.unclipped, limits(signal.channel)
+        if signal.rig is None or limit is None or signal.rig.channels[name].turns or len(values) < 20:
             continue
-        one = _Overrun(name, rig, raw, measured[:, 0], *limit)
+        source, (low, high), slack = signal.rig.channels[name], limit, _slack(signal.rig.channels[name], limit)
         # A released pedal may be far below 0 before clipping.
-        below = one.values < (one.low - one.slack if one.low < 0 or not source.clip else -1.0)
-        outside = float(np.mean(below | (one.values > one.high + one.slack)))
-        if outside <= (0.005 if not source.clip else _CLIPPED if one.low == 0 else _CUT):
+        below = values < (low - slack if low < 0 or not source.clip else -1.0)
+        outside = float(np.mean(below | (values > high + slack)))
+        if outside <= (0.005 if not source.clip else _CLIPPED if low == 0 else _CUT):
             continue
-        first, last = np.percentile(one.values, (0.5, 99.5))
-        cure = next(filter(None, (fix(one) for fix in _FIXES)), ())
-        values = {"low": one.low, "high": one.high, "first": first, "last": last, "channel": name}
-        findings.append(found("clipped" if source.clip else "out_of_range", name, values, cure, score=outside))
+        first, last = np.percentile(values, (0.5, 99.5))
+        cure = next(filter(None, (fix(signal, signal.rig, limit) for fix in _FIXES)), ())
+        about = {"low": low, "high": high, "first": first, "last": last, "channel": name}
+        findings.append(found("clipped" if source.clip else "out_of_range", name, about, cure, score=outside))
     return findings
 
 
-def _at_rest(one: _Overrun) -> Cure:
+def _slack(source: ChannelSource, limit: tuple[float, float]) -> float:
+    """Return the excess over the limits of a channel that is accepted on both sides."""
+    return (0.1 if limit[0] == 0 or not source.clip else _BEYOND) * (limit[1] - limit[0])
+
+
+def _edits(name: str, **entries: float) -> Cure:
+    """Return the edits of entries of a channel."""
+    return tuple(Edit(f"channels.{name}.{key}", rounded(value)) for key, value in entries.items())
+
+
+def _at_rest(signal: Signal, rig: Rig, _: tuple[float, float]) -> Cure:
     """Return the edit that shifts an unused, constant brake to zero; its scale is unknown."""
-    if one.name not in BRAKES or np.ptp(one.values) > 0:
+    name, source = signal.channel, rig.channels[signal.channel]
+    if name not in BRAKES or np.ptp(signal.unclipped) > 0:
         return ()
-    rest = float(one.values[0]) / (one.source.sign * unit_factor(one.name, one.source.unit))
-    return one.edits(offset=one.source.offset - rest)
+    rest = float(signal.unclipped[0]) / (source.sign * unit_factor(name, source.unit))
+    return _edits(name, offset=source.offset - rest)
 
 
-def _permanently_negative(one: _Overrun) -> Cure:
+def _permanently_negative(signal: Signal, rig: Rig, limit: tuple[float, float]) -> Cure:
     """Return the edit that unwraps a counter that stays below zero, if the result fits the range."""
-    low, high = np.percentile(one.raw[np.isfinite(one.raw)], (0.5, 99.5))
+    name, source = signal.channel, rig.channels[signal.channel]
+    low, high = np.percentile(signal.raw[np.isfinite(signal.raw)], (0.5, 99.5))
     for period in PERIODS:
-        if one.source.wrap is None and 0.9 * period < low <= high <= period:
-            values = _unclipped(one.name, one.rig, np.array([[low], [high]]) - period)
-            if (values >= one.low - one.slack).all() and (values <= one.high + one.slack).all():
-                return (Edit(f"channels.{one.name}.wrap", {"above": period / 2, "period": period}),)
+        if source.wrap is None and 0.9 * period < low <= high <= period:
+            values, slack = _unclipped(name, rig, np.array([[low], [high]]) - period), _slack(source, limit)
+            if (values >= limit[0] - slack).all() and (values <= limit[1] + slack).all():
+                return (Edit(f"channels.{name}.wrap", {"above": period / 2, "period": period}),)
     return ()
 
 
-def _whole_range(one: _Overrun) -> Cure:
+def _whole_range(signal: Signal, rig: Rig, limit: tuple[float, float]) -> Cure:
     """Return the edits for a common raw range of a pedal without a unit, or of a steering with a positive centre."""
-    source = one.source
-    if one.low < 0:
-        around = steering_middle(one.values, named=False) if not source.unit else None
+    name, source, values = signal.channel, rig.channels[signal.channel], signal.unclipped
+    if limit[0] < 0:
+        around = steering_middle(values, named=False) if not source.unit else None
         if around is None:
             return ()
         middle, reach, _ = around
-        return one.edits(scale=source.scale / reach, offset=(source.offset - source.sign * middle) / reach)
-    span = whole_range(one.values)
+        return _edits(name, scale=source.scale / reach, offset=(source.offset - source.sign * middle) / reach)
+    span = whole_range(values)
     if span is None or span[1] in (1.0, 100.0, 1000.0):  # the last two have a unit
         return ()
-    return scaled_to_unit(one.name, source, span, turned=bool(span[0] < 0 and rests_high(one.values)))
+    return scaled_to_unit(name, source, span, turned=bool(span[0] < 0 and rests_high(values)))
 
 
-def _both_ways(one: _Overrun) -> Cure:
+def _both_ways(signal: Signal, rig: Rig, limit: tuple[float, float]) -> Cure:
     """Return the edits for a signed throttle; its negative part becomes the brake if no brake channel exists."""
-    source, rig = one.source, one.rig
-    if one.name != "throttle" or source.clip or not is_signed(one.values):
+    source = rig.channels[signal.channel]
+    if signal.channel != "throttle" or source.clip or not is_signed(signal.unclipped):
         return ()
-    most = float(np.abs(np.percentile(one.values, (0.5, 99.5))).max())
-    factor = 1.0 if most <= one.high + one.slack else 1 / (full_scale(most) or most)
+    most = float(np.abs(np.percentile(signal.unclipped, (0.5, 99.5))).max())
+    factor = 1.0 if most <= limit[1] + _slack(source, limit) else 1 / (full_scale(most) or most)
     scaled = {key: rounded(factor * getattr(source, key)) for key in ("scale", "offset")}
     cure = [Edit(f"channels.throttle.{key}", value) for key, value in scaled.items() if value != getattr(source, key)]
     cure.append(Edit("channels.throttle.clip", [0.0, 1.0]))
@@ -370,29 +358,23 @@ def _both_ways(one: _Overrun) -> Cure:
     return tuple(cure)
 
 
-def _rescaled(one: _Overrun) -> Cure:
+def _rescaled(signal: Signal, rig: Rig, limit: tuple[float, float]) -> Cure:
     """Return the edits that convert the observed range to the channel's: another unit, or scale and offset."""
-    name, source, (first, last) = one.name, one.source, np.percentile(one.values, (0.5, 99.5)).tolist()
+    name, source, (low, high) = signal.channel, rig.channels[signal.channel], limit
+    first, last = np.percentile(signal.unclipped, (0.5, 99.5)).tolist()
     extreme = max(abs(first), abs(last))
     for unit, factor in _ALTERNATIVES.items():
-        if 0.3 * one.high < extreme * factor <= 1.2 * one.high and (one.low < 0 or first >= -0.1 * extreme):
+        if 0.3 * high < extreme * factor <= 1.2 * high and (low < 0 or first >= -0.1 * extreme):
             if source.unit or source.scale != 1.0:
                 return rescaled(name, source, factor)
-            try:
+            with suppress(RigError):  # another unit
                 unit_factor(name, unit)
-            except RigError:
-                continue
-            return (Edit(f"channels.{name}.unit", unit),)
-    if one.low < 0:  # for an angle, 1 is not full lock
-        return () if known_channels()[name][0] == "rad" else rescaled(name, source, one.high / extreme)
-    if last < 0.1 * extreme and extreme <= 1.2 * one.high:
+                return (Edit(f"channels.{name}.unit", unit),)
+    if low < 0:  # for an angle, 1 is not full lock
+        return () if known_channels()[name][0] == "rad" else rescaled(name, source, high / extreme)
+    if last < 0.1 * extreme and extreme <= 1.2 * high:
         return (Edit(f"channels.{name}.sign", -source.sign),)
-    span = last - first
-    if not span > 0:
-        return absent(name, one.rig)
-    # Map the observed range to 0..1: value = sign * (raw * scale + offset) * unit.
-    start = source.sign * first / unit_factor(name, source.unit)
-    return one.edits(scale=source.scale / span, offset=(source.offset - start) / span)
+    return scaled_to_unit(name, source, (first, last)) or absent(name, rig)
 
 
 _FIXES: Final = (_at_rest, _permanently_negative, _whole_range, _both_ways, _rescaled)
@@ -409,12 +391,7 @@ def check_valid(recorded: Mapping[str, Recorded], rig: Rig) -> list[Finding]:
         outside = np.asarray(((values < source.valid[0]) | (values > source.valid[1])).any(axis=1))
         measured = _continuing(values, outside)
         if measured.sum() <= _DROPPED * len(values):
-            if 2 * outside.sum() > len(outside):  # logs may mark unknown values, but rarely so often
-                share = float(outside.mean())
-                findings.append(
-                    found("valid_drops_most", name, {"dropped": outside.sum(), "count": len(outside)}, score=share)
-                )
-            continue
+            continue  # logs may mark unknown values
         reached = values[measured | ~outside]
         # A control's steps may hide part of its range.
         ends = np.append(reached.ravel(), limits(name) or ())

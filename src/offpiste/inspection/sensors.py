@@ -16,8 +16,8 @@ from jaxtyping import Float
 from offpiste.calibration.camera import check_camera
 from offpiste.calibration.lidar import check_lidar
 from offpiste.calibration.map_health import MapHealth, map_health
-from offpiste.calibration.misfit import Misfit, turned
-from offpiste.calibration.mountings import AXES, mounting_entry, unknown
+from offpiste.calibration.misfit import LEAST_PAIRS, Misfit, turned
+from offpiste.calibration.mountings import AXES, WORLD, mounting_entry, unknown
 from offpiste.calibration.own_body import AROUND, find_own_body
 from offpiste.calibration.samples import Gathered, Grey, SmallCamera, gather, small_camera
 from offpiste.core.errors import OffpisteError
@@ -46,8 +46,6 @@ KNOWN_LATE: Final = 0.020
 STARTS: Final = (-0.15, 0.15)
 """Initial delays for refitting a camera that seems rotated [s]: in fast turns, patches searched at a wrong time lie
 outside the search area, and a rotation fits the rest."""
-APART: Final = 0.2
-"""Distance between points and planes of two scans above which they are inconsistent [m]; fault-free: 0.02 to 0.04."""
 MANY_GHOSTS: Final = 1e-4
 """Minimum reported share of returns below the ground: ten in a scan of 100,000. Simulated drives: below 3e-5."""
 MUCH_DRIFT: Final = 0.05
@@ -57,8 +55,6 @@ SOME_DRIFT: Final = 0.02
 """Height drift for a note [m/s]. Simulated drives: 0.002; KITTI's GPS: 0.05."""
 MUCH_MOVING: Final = 0.004
 """Minimum reported share of moving returns. Simulated drives: up to 0.0012; with 1 % of dust: 0.006."""
-LEAST_PAIRS: Final = 8
-"""Minimum number of scan pairs for statements about drift and moving returns."""
 _FROZEN: Final = 0.1
 """Minimum reported share of images that repeat the one before."""
 _POSE: Final = ("position", "orientation", "yaw")
@@ -131,7 +127,7 @@ def check_mountings(checked: Sequence[CheckedSensor], cure: Cure = ()) -> list[F
             result.append(found("unseen", one.sensor.name, {"why": MESSAGES["sensors"][one.kind]["unseen"]}))
             continue
         basis = {"pairs": misfit.pairs, "measurements": MESSAGES["sensors"][one.kind]["measurements"]}
-        if isinstance(one.sensor, Lidar) and misfit.scale > APART:
+        if isinstance(one.sensor, Lidar) and misfit.scale > WORLD:
             result.append(found("no_common_world", one.sensor.name, {**basis, "scale": misfit.scale, "key": one.key}))
             continue
         if one.is_turned:
