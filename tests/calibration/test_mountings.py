@@ -42,9 +42,10 @@ def test_lidar_from_a_guess_far_off():
     turn = np.deg2rad([6.0, -7.0, 140.0])
     found = estimate_lidar(wrong_lidar(turn, (0.3, -0.2)), FEW, world.poses())
     assert not isinstance(found, str)
-    assert angle(found.body_from_lidar, world.BODY_FROM_LIDAR) < 0.5
-    assert (found.misfit.sigma[:3] < np.deg2rad(0.5)).all()
-    np.testing.assert_allclose(found.body_from_lidar[:2, 3], world.BODY_FROM_LIDAR[:2, 3], atol=0.15)
+    mounting, misfit = found
+    assert angle(mounting, world.BODY_FROM_LIDAR) < 0.5
+    assert (misfit.sigma[:3] < np.deg2rad(0.5)).all()
+    np.testing.assert_allclose(mounting[:2, 3], world.BODY_FROM_LIDAR[:2, 3], atol=0.15)
 
 
 def test_lidar_at_a_standstill_is_refused():

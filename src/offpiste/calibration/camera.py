@@ -14,18 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from offpiste.calibration.misfit import (
-    FURTHEST,
-    PRIOR,
-    Misfit,
-    Pair,
-    Parameters,
-    differentiated,
-    fit_misfit,
-    planes,
-    turned,
-)
-from offpiste.calibration.samples import Grey, Scan, SmallCamera, nearest_world, pairs
+from offpiste.calibration.misfit import PRIOR, Misfit, Pair, Parameters, differentiated, fit_misfit, planes, turned
+from offpiste.calibration.samples import FURTHEST, Grey, Scan, SmallCamera, nearest_world, pairs
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 from offpiste.perception.motion_compensation import inverse, transformed
@@ -76,29 +66,27 @@ def _compared(
     camera: SmallCamera, one: Grey, other: Grey, world: Float[np.ndarray, "n 3"], poses: Poses, parameters: Parameters
 ) -> Pair:
     """Return the residual shifts of squares, x and y [px], and their Jacobian."""
-    matrix, nothing = camera.rectifier.pinhole.matrix, Pair(np.zeros(0), np.zeros((0, len(parameters))))
-    first, second = (_camera_pose(camera, image.time, poses, parameters) for image in (one, other))
-    if first is None or second is None or len(world) < 100:
-        return nothing
+    matrix = camera.rectifier.pinhole.matrix
+
+    def views(now: Parameters) -> np.ndarray:
+        """Return `world_from_camera` of both images; NaN without a pose."""
+        moments = np.array([one.time, other.time]) - now[3]
+        return np.asarray(poses.at(moments) @ turned(camera.camera.body_from_camera, now))
+
+    first, second = views(parameters)
+    if not np.isfinite(first + second).all() or len(world) < 100:
+        return Pair(np.zeros(0), np.zeros((0, len(parameters))))
     points, at = _squares(camera, one, world, first)
-    if not len(points):
-        return nothing
     normal, flat = planes(world, cKDTree(world), points)
     points, at, normal = points[flat], at[flat], normal[flat]
-    if not len(points):
-        return nothing
     shift, same = _shifts(one, other, at, _Mapping(matrix, first, second, points, normal))
     points, normal, shift = points[same], normal[same], shift[same]
     back = _Mapping(matrix, second, first, points, normal)
 
     def residual(now: Parameters) -> np.ndarray:
         # Project the points into both cameras; the second projection is mapped back to the first image.
-        views = [_camera_pose(camera, image.time, poses, now) for image in (one, other)]
-        if views[0] is None or views[1] is None:
-            return np.full(2 * len(points), np.nan)
-        here, there = (_pixels(matrix, view, points) for view in views if view is not None)
-        expected = back(there[:, None])[:, 0] - here
-        return (shift - expected).ravel()
+        here, there = (_pixels(matrix, view, points) for view in views(now))
+        return (shift - (back(there[:, None])[:, 0] - here)).ravel()
 
     return differentiated(residual, parameters)
 
@@ -124,14 +112,6 @@ class _Mapping:
         far = np.where((far > 0) & (far < 1000), far, np.nan)
         world = origin + far[..., None] * rays
         return _pixels(self.matrix, self.world_from_other, world.reshape(-1, 3)).reshape(pixels.shape)
-
-
-def _camera_pose(
-    camera: SmallCamera, time: float, poses: Poses, parameters: Parameters
-) -> Float[np.ndarray, "4 4"] | None:
-    """Return `world_from_camera` for these parameters."""
-    matrix = poses.at(np.array([time - parameters[3]]))[0] @ turned(camera.camera.body_from_camera, parameters)
-    return matrix if np.isfinite(matrix).all() else None
 
 
 def _pixels(

@@ -8,7 +8,7 @@ found at the pixels predicted from LiDAR points, `camera.check_camera` refines t
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Final
 
 import cv2
@@ -16,17 +16,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from offpiste.calibration.misfit import (
-    LEAST_PAIRS,
-    Misfit,
-    Pair,
-    Parameters,
-    differentiated,
-    fit_misfit,
-    turned,
-)
+from offpiste.calibration.misfit import LEAST_PAIRS, Misfit, Pair, Parameters, differentiated, fit_misfit, turned
 from offpiste.calibration.samples import Grey, SmallCamera, pairs
 from offpiste.logs.poses import Poses
+from offpiste.perception.motion_compensation import inverse
 
 _FEATURES: Final = 1500
 """Maximum number of features per image."""
@@ -71,21 +64,19 @@ def matched(camera: SmallCamera, images: Sequence[Grey]) -> list[Matches]:
     sift = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=_CONTRAST)
     mask = camera.free.astype(np.uint8) * 255
     from_pixels = np.linalg.inv(camera.rectifier.pinhole.matrix)
-    found: dict[int, tuple[Float[np.ndarray, "n 3"], np.ndarray]] = {}
+
+    @cache
+    def features(number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the directions of an image's features, and their descriptors."""
+        points, described = sift.detectAndCompute(images[number].pixels, mask)
+        rays = np.array([(*point.pt, 1.0) for point in points]).reshape(-1, 3) @ from_pixels.T
+        return rays / np.linalg.norm(rays, axis=1, keepdims=True), described
+
     result = []
-    for couple in pairs([image.time for image in images]):
-        if np.array_equal(images[couple[0]].pixels, images[couple[1]].pixels):
+    for i, j in pairs([image.time for image in images]):
+        if np.array_equal(images[i].pixels, images[j].pixels):
             continue
-        for k in couple:
-            if k not in found:
-                points, described = sift.detectAndCompute(images[k].pixels, mask)
-                pixels = np.array([(*point.pt, 1.0) for point in points]).reshape(-1, 3)
-                rays = pixels @ from_pixels.T
-                found[k] = (
-                    rays / np.linalg.norm(rays, axis=1, keepdims=True),
-                    described if described is not None else np.zeros((0, 128), np.float32),
-                )
-        (one, first), (other, second) = (found[k] for k in couple)
+        (one, first), (other, second) = features(i), features(j)
         if min(len(one), len(other)) < _LEAST:
             continue
         best = cv2.BFMatcher().knnMatch(first, second, k=2)
@@ -94,8 +85,7 @@ def matched(camera: SmallCamera, images: Sequence[Grey]) -> list[Matches]:
         claims = np.bincount([match.trainIdx for match in kept], minlength=len(other))
         index = np.array([(m.queryIdx, m.trainIdx) for m in kept if claims[m.trainIdx] == 1], np.int64).reshape(-1, 2)
         if len(index) >= _LEAST:
-            times = images[couple[0]].time, images[couple[1]].time
-            result.append(Matches(times, one[index[:, 0]], other[index[:, 1]]))
+            result.append(Matches((images[i].time, images[j].time), one[index[:, 0]], other[index[:, 1]]))
     return result
 
 
@@ -107,10 +97,8 @@ def epipolar_angles(
     For a point behind the cameras, this is the angle from the first direction, as without motion.
     """
     mounting = turned(body_from_camera, parameters)
-    one, other = poses.at(np.array(matches.times) - parameters[3])
-    relative = (
-        np.linalg.inv(other @ mounting) @ one @ mounting if np.isfinite(one + other).all() else np.full((4, 4), np.nan)
-    )
+    one, other = poses.at(np.array(matches.times) - parameters[3]) @ mounting
+    relative = inverse(other) @ one
     return _angles(relative[None, :3, :3], relative[None, :3, 3], matches.one, matches.other)[0]
 
 
@@ -194,9 +182,8 @@ def median_angle(matches: Sequence[Matches], mounting: Float[np.ndarray, "4 4"],
 
 
 def _cost(matches: Sequence[Matches], mounting: Float[np.ndarray, "4 4"], poses: Poses, late: float) -> float:
-    parameters = np.array([0.0, 0.0, 0.0, late])
-    angles = np.concatenate([epipolar_angles(one, mounting, poses, parameters) for one in matches])
-    return float(np.minimum(np.abs(angles[np.isfinite(angles)]), _TRUNCATED).mean())
+    angles = [epipolar_angles(one, mounting, poses, np.array([0.0, 0.0, 0.0, late])) for one in matches]
+    return float(np.nanmean(np.minimum(np.abs(np.concatenate(angles)), _TRUNCATED)))
 
 
 def _baseline(matches: Matches, poses: Poses) -> float:

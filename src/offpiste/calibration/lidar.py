@@ -9,7 +9,7 @@ travel; the full circle is searched. From the best headings, the fit to planes r
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -17,18 +17,8 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from offpiste.calibration.misfit import (
-    FURTHEST,
-    PRIOR,
-    Misfit,
-    Pair,
-    Parameters,
-    differentiated,
-    fit_misfit,
-    planes,
-    turned,
-)
-from offpiste.calibration.samples import Grey, Scan, pairs
+from offpiste.calibration.misfit import PRIOR, Misfit, Pair, Parameters, differentiated, fit_misfit, planes, turned
+from offpiste.calibration.samples import FURTHEST, Grey, Scan, pairs
 from offpiste.logs.measurements import Lidar
 from offpiste.logs.poses import Poses
 
@@ -64,23 +54,13 @@ _HELD: Final = 0.1
 """Share of its prior to which roll is held if the drive does not determine it."""
 _TRUNCATED: Final = 1.0
 """Truncation of distances [m]."""
+WORLD: Final = 0.2
+"""Maximum distance of scans from each other's planes for a consistent world [m]; fault-free: 0.02 to 0.04."""
+_RIVAL: Final = 1.15
+"""Maximum residual ratio at which the second-best heading makes the result ambiguous."""
+_FEW_PLANES: Final = "too few of its points lie on planes that two scans share"
 _PRIOR: Final = np.array([GROUND, GROUND, np.deg2rad(30.0), 0.1, 0.5, 0.5])
 """Standard deviations of the fit's prior: roll and pitch about level, yaw, delay, position x and y [rad, s, m]."""
-
-
-@dataclass(frozen=True)
-class LidarMounting:
-    """Estimated mounting of a LiDAR.
-
-    Attributes:
-        body_from_lidar: the z position is that of the guess.
-        misfit: of the last fit, with sigma of roll, pitch, yaw [rad], delay [s], x and y [m].
-        runner_up: ratio of the second-best heading's residual to the best; infinite if there is none.
-    """
-
-    body_from_lidar: Float[np.ndarray, "4 4"]
-    misfit: Misfit
-    runner_up: float
 
 
 def check_lidar(
@@ -143,12 +123,16 @@ def _compared(lidar: Lidar, one: Scan, other: Scan, chosen: np.ndarray, poses: P
     return differentiated(residual, parameters)
 
 
-def estimate_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses) -> LidarMounting | str:
+def estimate_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses) -> tuple[Float[np.ndarray, "4 4"], Misfit] | str:
     """Estimate a LiDAR's mounting from a rough guess; return the reason as text if the drive does not determine it.
 
     Args:
         lidar: with the guess, whose vertical must be correct to about 30 degrees; its heading is ignored.
         scans: without points of the vehicle itself, which the guess may not separate from others.
+
+    Returns:
+        `body_from_lidar` with the z position of the guess, and the misfit of the last fit, with sigma of roll, pitch,
+        yaw [rad], delay [s], x and y [m].
     """
     rng = np.random.default_rng(0)
     normals = [n for scan in scans[:: max(1, len(scans) // 30)] if (n := ground(scan, lidar, rng)) is not None]
@@ -160,16 +144,19 @@ def estimate_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses) -> LidarMo
     fitted = [_fitted(level, heading, scans, poses) for heading in headings(level, scans, couples, poses, rng)]
     results = sorted((one for one in fitted if one is not None), key=lambda one: one[1].scale)
     if not results:
-        return "too few of its points lie on planes that two scans share"
+        return _FEW_PLANES
     (start, _), *others = results
-    apart = [m.scale for s, m in others if _between(s, start) > np.deg2rad(10)]
     # Relative to the levelled mounting at the estimated heading, so that the prior keeps undetermined angles level.
     upright = _headed(level, start)
     misfit = _refined(upright, scans, poses, GROUND if levelled else np.deg2rad(30.0))
     if misfit is None:
-        return "too few of its points lie on planes that two scans share"
-    mounting = turned(upright.body_from_lidar, misfit.parameters)
-    return LidarMounting(mounting, misfit, min(apart, default=np.inf) / misfit.scale)
+        return _FEW_PLANES
+    if misfit.scale > WORLD:
+        return f"its scans show no common world with any mounting ({misfit.scale:.2f} m apart)"
+    apart = [m.scale for s, m in others if _between(s, start) > np.deg2rad(10)]
+    if min(apart, default=np.inf) < _RIVAL * misfit.scale:
+        return "another heading fits its scans as well; its surroundings look alike all around"
+    return turned(upright.body_from_lidar, misfit.parameters), misfit
 
 
 def ground(scan: Scan, lidar: Lidar, rng: np.random.Generator) -> Float[np.ndarray, " 3"] | None:

@@ -23,8 +23,6 @@ STEPS: Final = np.array([*np.deg2rad([0.05, 0.05, 0.05]), 0.04, 0.01, 0.01, 0.01
 dominate a short one."""
 LEAST_PAIRS: Final = 8
 """Minimum number of pairs; fewer do not show their own scatter."""
-FURTHEST: Final = 40.0
-"""Maximum range of points; beyond it, they are too sparse for planes [m]."""
 _NEIGHBOURS: Final = 12
 """Number of points of a plane."""
 _BIWEIGHT: Final = 4.685

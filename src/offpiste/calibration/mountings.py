@@ -32,12 +32,8 @@ KNOWN: Final = np.deg2rad(1.2)
 """Maximum standard deviation of an estimated roll, pitch or yaw [rad]; the ground alone determines roll to 1 degree."""
 PLACE: Final = 0.15
 """Maximum standard deviation of a reported position coordinate [m]."""
-WORLD: Final = 0.2
-"""Maximum distance of scans from each other's planes for a consistent world [m]; fault-free: 0.02 to 0.04."""
 _LINES: Final = np.deg2rad(0.3)
 """Maximum angle of matches from their epipolar lines, or from surfaces, for a valid rotation [rad]."""
-_RIVAL: Final = 1.15
-"""Maximum residual ratio at which the second-best heading makes the result ambiguous."""
 _REPLACED: Final = np.deg2rad(5.0)
 """Maximum change by the fit to surfaces for its result to be accepted [rad]."""
 _STRAIGHT: Final = np.deg2rad(3.0)
@@ -197,20 +193,13 @@ def _lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses) -> EstimatedMounti
     found = estimate_lidar(lidar, scans, poses)
     if isinstance(found, str):
         return replace(failed, refused=f"{name}: {found}")
-    scale, sigma = found.misfit.scale, found.misfit.sigma
-    if scale > WORLD:
-        return replace(
-            failed, refused=f"{name}: its scans show no common world with any mounting ({scale:.2f} m apart)"
-        )
-    if found.runner_up < _RIVAL:
-        why = "another heading fits its scans as well; its surroundings look alike all around"
-        return replace(failed, refused=f"{name}: {why}")
+    estimate, sigma = found[0], found[1].sigma
     if why := _vague(name, sigma[:3], mean_turn(poses, scans)):
         return replace(failed, refused=why)
     place = np.full(3, np.nan)
     place[: len(sigma[4:6])] = np.where(sigma[4:6] < PLACE, sigma[4:6], np.nan)
-    mounting = found.body_from_lidar.copy()
-    mounting[:3, 3] = np.where(np.isfinite(place), mounting[:3, 3], guess[:3, 3])
+    mounting = estimate.copy()
+    mounting[:3, 3] = np.where(np.isfinite(place), estimate[:3, 3], guess[:3, 3])
     after = median_distance(replace(lidar, body_from_lidar=mounting), scans, poses)
     return replace(failed, mounting=mounting, sigma=tuple(sigma[:3]), place_sigma=tuple(place), after=after)
 

@@ -24,6 +24,8 @@ APART: Final = 0.5
 """Time between the measurements of a pair [s]; long enough for some metres, short enough for sufficient overlap."""
 _POINTS: Final = 20_000
 """Maximum number of points per scan."""
+FURTHEST: Final = 40.0
+"""Maximum range of points; beyond it, they are too sparse for planes [m]."""
 _FINE: Final = 400.0
 """Focal length above which images are halved in size [px]."""
 _OLD: Final = 0.3

@@ -2,11 +2,11 @@
 
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from offpiste.core.channels import control_of
 from offpiste.core.errors import LogError
@@ -184,9 +184,8 @@ def check_steps(recorded: Mapping[str, Recorded], *, used: Collection[str], set_
         cure = (RECEIVE,) if all(r.arrived is not None for r in topics) else ()
     if step is None:
         return []
-    return [
-        found("steps_back", "log", {"by": step.by, "at": step.time - beginning(recorded), "stamp": step.time}, cure)
-    ]
+    values = {"by": step.by, "at": step.time - beginning(recorded), "stamp": step.time}
+    return [found("steps_back", "log", values, cure)]
 
 
 def _steady(topic: Recorded, set_back: SetBack) -> bool:
@@ -199,8 +198,7 @@ def _steady(topic: Recorded, set_back: SetBack) -> bool:
     return bool(np.median(delay[before]) - np.median(delay[after]) > set_back.by / 2)
 
 
-@dataclass(frozen=True)
-class WheelSpeed:
+class _WheelSpeed(NamedTuple):
     """A field proportional to the speed: speed = scale * value [m/s]."""
 
     topic: str
@@ -265,36 +263,27 @@ def _slips(low: float, high: float, *, shares_pose: bool) -> bool:
     return low < -_LATE or high < _LATE if shares_pose else _SLIP < low <= high < _LATE
 
 
-def _wheel_speeds(recorded: Mapping[str, Recorded], path: DrivenPath, besides: set[str]) -> Iterator[WheelSpeed]:
+def _wheel_speeds(recorded: Mapping[str, Recorded], path: DrivenPath, besides: set[str]) -> Iterator[_WheelSpeed]:
     """Yield fields of other topics that are proportional to the speed, with lags up to two seconds."""
-    for topic, r in recorded.items():
-        if topic in besides or len(r.time) < 200:
-            continue
-        keep: Bool[np.ndarray, " n"] = np.append(True, r.time[1:] > r.time[:-1])
-        keep &= np.isfinite(r.values).all(axis=1) & np.isfinite(r.time)
-        for field, values in zip(r.fields, r.values[keep].T, strict=True):
-            wheel = _proportional(path, topic, field, r.time[keep], values)
-            if wheel is not None:
-                yield wheel
-
-
-def _proportional(
-    path: DrivenPath, topic: str, field: str, time: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]
-) -> WheelSpeed | None:
     speed = np.nan_to_num(path.speed)
-    if len(values) < 200 or np.ptp(values) == 0 or speed.std() < 0.1 * speed.mean():
-        return None
-    best, scale = 0.0, 0.0
     fast = speed > min(0.5, 0.5 * path.cruise)
-    for lag in np.arange(-_MAX_LAG / 2, _MAX_LAG / 2 + 0.01, 0.25):
-        value = np.abs(np.interp(path.time + lag, time, values))
-        if value.std() == 0:
+    lagged = path.time + np.arange(-_MAX_LAG / 2, _MAX_LAG / 2 + 0.01, 0.25)[:, None]
+    for topic, r in recorded.items() if speed.std() >= 0.1 * speed.mean() else ():
+        keep: Bool[np.ndarray, " n"] = np.diff(r.time, prepend=-np.inf) > 0
+        keep &= np.isfinite(r.values).all(axis=1) & np.isfinite(r.time)
+        if topic in besides or keep.sum() < 200:
             continue
-        correlation = float(np.corrcoef(value, speed)[0, 1])
-        if correlation > best:
-            best, scale = correlation, float(np.median(speed[fast]) / max(np.median(value[fast]), 1e-9))
-    # Proportional, not only correlated: a gear or a throttle may rise with the speed, too.
-    value = np.abs(np.interp(path.time, time, values)) * scale
-    if best < _FOLLOWS or np.sqrt(np.mean((value - speed) ** 2)) > 0.3 * np.sqrt(np.mean(speed**2)):
-        return None
-    return WheelSpeed(topic, field, scale, best, Channel("wheel_speed", "m/s", time, np.abs(values)[:, None] * scale))
+        time = r.time[keep]
+        for field, values in zip(r.fields, np.abs(r.values[keep].T), strict=True):
+            if np.ptp(values) == 0:
+                continue
+            tried = np.interp(lagged, time, values)
+            with np.errstate(invalid="ignore", divide="ignore"):  # constant during the drive
+                correlations = np.nan_to_num(np.corrcoef(speed, tried)[0, 1:])
+            best = int(correlations.argmax())
+            scale = float(np.median(speed[fast]) / max(np.median(tried[best, fast]), 1e-9))
+            # Proportional, not only correlated: a gear or a throttle may rise with the speed, too.
+            away = scale * np.interp(path.time, time, values) - speed
+            if correlations[best] >= _FOLLOWS and np.mean(away**2) <= 0.09 * np.mean(speed**2):
+                samples = Channel("wheel_speed", "m/s", time, scale * values[:, None])
+                yield _WheelSpeed(topic, field, scale, float(correlations[best]), samples)

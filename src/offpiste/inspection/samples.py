@@ -194,7 +194,7 @@ def _wrapped(signal: Signal) -> Finding | None:
 
 
 def _spiked(signal: Signal) -> Finding | None:
-    """Report isolated spikes; the proposed range of valid values ends halfway to the nearest ones."""
+    """Report isolated spikes."""
     values, limit = unrolled(signal.values[np.isfinite(signal.values)]), limits(signal.channel)
     spikes = find_spikes(values)
     if not spikes.any():
@@ -203,10 +203,10 @@ def _spiked(signal: Signal) -> Finding | None:
     # A quick press stays within the pedal's range, and a bump within twice the usual span of rates.
     ends = usual if limit is None else np.append(usual, limit)
     floor, ceiling = float(ends.min()), float(ends.max())
-    room = (ceiling - floor) / (1 if limit is None else 4)
+    room = ceiling - floor if limit is None else (limit[1] - limit[0]) / 4
     if at.max() < ceiling + room and at.min() > floor - room:
         return None
-    low, high = _extended((floor, ceiling), at)
+    low, high = _extended(usual, at) if limit is None else (limit[0] - room / 5, limit[1] + room / 5)
     low, high = min(low, signal.beside[0]), max(high, signal.beside[1])
     inside, share = int(((at >= low) & (at <= high)).sum()), float(spikes.mean())
     about = {"spikes": spikes.sum(), "count": len(values), "least": at.min(), "most": at.max()}
@@ -230,9 +230,9 @@ def _usual(others: Float[np.ndarray, "n k"]) -> tuple[float, float]:
     return least, max((high + (high - low) / 2 for low, high in ends), default=-np.inf)
 
 
-def _extended(ends: tuple[float, float], spikes: Float[np.ndarray, " k"]) -> tuple[float, float]:
+def _extended(usual: Float[np.ndarray, " n"], spikes: Float[np.ndarray, " k"]) -> tuple[float, float]:
     """Return the usual range extended by up to half its span on both sides, excluding spikes."""
-    low, high = ends
+    low, high = float(usual.min()), float(usual.max())
     room = (high - low) / 2
     top = high + min([room, *(spikes[spikes > high] - high) / 2])
     bottom = low - min([room, *(low - spikes[spikes < low]) / 2])

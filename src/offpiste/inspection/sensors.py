@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.calibration.camera import check_camera
-from offpiste.calibration.lidar import check_lidar
+from offpiste.calibration.lidar import WORLD, check_lidar
 from offpiste.calibration.map_health import MapHealth, map_health
 from offpiste.calibration.misfit import LEAST_PAIRS, Misfit, turned
-from offpiste.calibration.mountings import AXES, WORLD, mounting_entry, unknown
+from offpiste.calibration.mountings import AXES, mounting_entry, unknown
 from offpiste.calibration.own_body import AROUND, find_own_body
 from offpiste.calibration.samples import Gathered, Grey, SmallCamera, gather, small_camera
 from offpiste.core.errors import OffpisteError
