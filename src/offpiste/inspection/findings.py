@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Any, Final, Literal
 
 from offpiste.core.limits import packaged_table
@@ -73,7 +74,8 @@ def found(
     advice = message.get("fixed", "{fix}") if known else message.get(remedy, "")
     values = {**values, "score": score, "fix": ", ".join(map(str, known[0])) if known else ""}
     what, evidence, how = (text.format(**values) for text in (message["what"], message["evidence"], advice))
-    return Finding(severity or message["severity"], where, what, evidence, how, score, known)
+    by_score: Severity = "warning" if score > message.get("warning_above", inf) else "note"
+    return Finding(severity or message.get("severity", by_score), where, what, evidence, how, score, known)
 
 
 def fixable(

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from offpiste.core.channels import control_of
 from offpiste.inspection.clocks import RECEIVE, other_origin
-from offpiste.inspection.findings import MESSAGES, Cure, Finding, Severity, found, merged
+from offpiste.inspection.findings import MESSAGES, Cure, Finding, found, merged
 from offpiste.inspection.recorded_log import Recorded, beginning, rising
 from offpiste.logs.channel import LEAST_KEPT
 from offpiste.logs.log import Samples
@@ -25,8 +25,6 @@ _LATE: Final = 2.0
 """Minimum time by which a reported topic starts after the pose or ends before it [s]."""
 _ZONE: Final = 900.0
 """Resolution of time zone offsets [s]."""
-_REPEATED, _GAPS, _LOST, _UNCOVERED = 0.05, 0.02, 0.1, 0.1
-"""Shares of repeated stamps, time in gaps, lost samples and time not covered above which findings are warnings."""
 _SOME: Final = 0.02
 """Share of repeated stamps that is negligible, and of lost samples that is not reported."""
 _DISORDER: Final = 0.2
@@ -204,17 +202,13 @@ def _repeats(where: str, topic: Recorded, seen: Timing, readers: Sequence[Sample
     if not receive and not seen.backward and any(map(_refused, readers)):
         rate = f", of which there are {(kept - 1) / (seen.end - seen.start):.3g} a second" if kept > 1 else ""
         return [found("stamps_too_coarse", where, {"rate": rate, **values}, score=score)]
-    return [found("stamps_repeat", where, values, receive, severity=_warns(score > _REPEATED), score=score)]
+    return [found("stamps_repeat", where, values, receive, score=score)]
 
 
 def _refused(samples: Samples) -> bool:
     """Return whether reading rejects a channel because too many different samples share a stamp."""
     copies = (np.diff(samples.time) == 0) & (np.diff(samples.values, axis=0) == 0).all(axis=1)
     return len(np.unique(samples.time)) < LEAST_KEPT * (len(samples.time) - copies.sum())
-
-
-def _warns(much: bool) -> Severity:
-    return "warning" if much else "note"
 
 
 def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: bool) -> list[Finding]:
@@ -235,11 +229,9 @@ def _intervals(where: str, seen: Timing, origin: float, clock: Clock, *, used: b
         share = sum(length for _, length in seen.gaps) / seconds
         what = "has gaps" if len(seen.gaps) > 1 else "has a gap"
         values = {"what": what, "count": len(seen.gaps), "longest": longest, "at": at - origin}
-        findings.append(found("gaps", where, values, severity=_warns(share > _GAPS), score=share))
+        findings.append(found("gaps", where, values, score=share))
     if seen.lost > _SOME:
-        findings.append(
-            found("losses", where, {"rate": seen.rate}, severity=_warns(seen.lost > _LOST), score=seen.lost)
-        )
+        findings.append(found("losses", where, {"rate": seen.rate}, score=seen.lost))
     return findings
 
 
@@ -302,8 +294,8 @@ def _part_of(
     if max(late, early) <= _LATE:
         return []
     share = (late + early) / (span[1] - span[0])
-    severity = _warns(used and share > _UNCOVERED)
-    return [found("part", name, {"late": late, "early": early, "whose": whose}, severity=severity, score=share)]
+    values = {"late": late, "early": early, "whose": whose}
+    return [found("part", name, values, severity=None if used else "note", score=share)]
 
 
 def check_on_change(recorded: Mapping[str, Recorded], rig: Rig) -> list[Finding]:
