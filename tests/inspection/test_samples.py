@@ -1,32 +1,31 @@
 """Faults of single channels: held values, dropouts, spikes, wraps, and samples that are not finite."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from simulated import MemoryLog, checked, drive_log, rig, severe
 
+from offpiste.inspection import findings
 from offpiste.inspection.held import check_dropouts, check_frozen
 from offpiste.inspection.inspect import inspect_log
 
 CLEAN = drive_log()
-WHAT = "holds one value while the vehicle moves"
 
 
-def _held(values: np.ndarray, first: int, count: int) -> np.ndarray:
-    values = values.copy()
-    values[first : first + count] = values[first]
-    return values
-
-
-def _frozen(log) -> list:
-    return [f for f in inspect_log(log, rig()).findings if f.what == WHAT]
+def test_every_message_is_used() -> None:
+    sources = "".join(file.read_text() for file in Path(findings.__file__).parent.glob("*.py"))
+    assert [name for name in findings.MESSAGES if f'"{name}"' not in sources] == []
 
 
 def test_a_channel_that_hangs_is_named_with_its_time() -> None:
     time, _ = CLEAN.data["steering"]
     first = len(time) // 2
     count = int(np.searchsorted(time, time[first] + 6.0)) - first
-    log = CLEAN.change("steering", "angle", lambda values: _held(values, first, count))
-    (finding,) = _frozen(log)
+    rows = np.arange(len(time))
+    held = np.where((rows >= first) & (rows < first + count), first, rows)
+    log = CLEAN.change("steering", "angle", lambda values: values[held])
+    (finding,) = checked(check_frozen, log)
     assert (finding.severity, finding.where) == ("warning", "steer_angle")
     assert f"from {time[first] - time[0]:.1f}" in finding.evidence
     seconds = float(finding.evidence.split("for ")[1].split(" s")[0])

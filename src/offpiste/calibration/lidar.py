@@ -274,18 +274,14 @@ def _couples(scans: Sequence[Scan], poses: Poses) -> list[tuple[int, int]]:
 
 
 def _levelled(lidar: Lidar, normals: Float[np.ndarray, "n 3"]) -> Lidar:
-    """Rotate the guess by the smallest angle that makes the ground level."""
-    up = lidar.body_from_lidar[:3, :3] @ _middle(normals)
+    """Rotate the guess by the smallest angle that makes the ground level.
+
+    Args:
+        normals: of the ground in several scans, in the LiDAR frame.
+    """
+    up = lidar.body_from_lidar[:3, :3] @ np.median(normals, axis=0)
     turn = Rotation.align_vectors([0.0, 0.0, 1.0], up)[0].as_rotvec()
     return replace(lidar, body_from_lidar=turned(lidar.body_from_lidar, np.append(turn, 0.0)))
-
-
-def _middle(normals: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 3"]:
-    """Return the approximate geometric median: the mean of the half nearest to the median."""
-    median = np.median(normals, axis=0)
-    near = np.argsort(np.linalg.norm(normals - median, axis=1))[: max(3, len(normals) // 2)]
-    middle = normals[near].mean(axis=0)
-    return np.asarray(middle / np.linalg.norm(middle))
 
 
 def _headed(level: Lidar, mounting: Float[np.ndarray, "4 4"]) -> Lidar:

@@ -236,7 +236,8 @@ def read_topics(
         findings += [Finding("warning", name or "table", e.what, "on reading it", e.how, 1.0) for e in errors]
         if not readable:
             continue
-        samples, arrived = log.read(name, readable, stamps=stamps), _arrived(log, name, stamps)
+        samples = log.read(name, readable, stamps=stamps)
+        arrived = _arrived(log, name, samples.time, stamps)
         order = np.argsort(samples.time, kind="stable") if clock.sort else slice(None)
         arrived = None if arrived is None else arrived[order]
         recorded[name] = Recorded(topic, samples.time[order], arrived, readable, samples.values[order])
@@ -250,16 +251,15 @@ def without_values(log: Log, name: str, *, stamps: str = "header", delay: float 
         stamps: "header" or "receive".
         delay: subtracted from the stamps [s].
     """
-    time = log.stamps(name, stamps=stamps) - delay
-    return Recorded(log.topics[name], time, _arrived(log, name, stamps), (), np.zeros((len(time), 0)))
+    time = log.stamps(name, stamps=stamps)
+    arrived = _arrived(log, name, time, stamps)
+    return Recorded(log.topics[name], time - delay, arrived, (), np.zeros((len(time), 0)))
 
 
-def _arrived(log: Log, name: str, stamps: str) -> Float[np.ndarray, " n"] | None:
+def _arrived(log: Log, name: str, time: Float[np.ndarray, " n"], stamps: str) -> Float[np.ndarray, " n"] | None:
     """Return the arrival times of a topic [s]; None if its stamps are arrival times."""
-    if stamps == "receive":
-        return None
-    header, arrived = log.stamps(name), log.stamps(name, stamps="receive")
-    return None if np.array_equal(header, arrived, equal_nan=True) else arrived
+    arrived = time if stamps == "receive" else log.stamps(name, stamps="receive")
+    return None if np.array_equal(time, arrived, equal_nan=True) else arrived
 
 
 def _readable(log: Log, name: str, fields: tuple[str, ...], stamps: str) -> tuple[tuple[str, ...], list[LogError]]:

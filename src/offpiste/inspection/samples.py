@@ -71,7 +71,7 @@ class Signal:
         unclipped: plausible ones of these before the rig clips them.
         rig: rig with the channel.
         largest: maximum recorded magnitude of a measurement.
-        beside: usual minimum and maximum of the channel's other components, as one valid range applies to all.
+        others: converted values of the channel's other components, as one valid range applies to all.
     """
 
     where: str
@@ -81,7 +81,7 @@ class Signal:
     unclipped: Float[np.ndarray, " k"]
     rig: Rig | None = None
     largest: float = LARGEST
-    beside: tuple[float, float] = (np.inf, -np.inf)
+    others: Float[np.ndarray, "m c"] | None = None
 
     @property
     def known(self) -> Float[np.ndarray, " k"]:
@@ -128,8 +128,8 @@ def channel_signals(recorded: Mapping[str, Recorded], rig: Rig) -> list[Signal]:
         for i, field in enumerate(source.fields[: converted.shape[1]]):
             where = f"{name} ({field_in_words(source.topic, field)})"
             most = largest_recorded(name, source, i, rig.vehicle)
-            beside = _usual(np.delete(converted, i, axis=1))
-            signals.append(Signal(where, name, raw[:, i], converted[:, i], unclipped[:, i], rig, most, beside))
+            others = np.delete(converted, i, axis=1)
+            signals.append(Signal(where, name, raw[:, i], converted[:, i], unclipped[:, i], rig, most, others))
     return signals
 
 
@@ -207,7 +207,8 @@ def _spiked(signal: Signal) -> Finding | None:
     if at.max() < ceiling + room and at.min() > floor - room:
         return None
     low, high = _extended(usual, at) if limit is None else (limit[0] - room / 5, limit[1] + room / 5)
-    low, high = min(low, signal.beside[0]), max(high, signal.beside[1])
+    for least, most in [] if signal.others is None else map(_usual, signal.others.T):
+        low, high = min(low, least), max(high, most)
     inside, share = int(((at >= low) & (at <= high)).sum()), float(spikes.mean())
     about = {"spikes": spikes.sum(), "count": len(values), "least": at.min(), "most": at.max()}
     about |= {"low": usual.min(), "high": usual.max(), "inside": ""}
@@ -222,12 +223,13 @@ _DEFECTS: Final = (_never_changing, _wrapped, _spiked)
 """Checks of a signal; the first that reports a defect ends them."""
 
 
-def _usual(others: Float[np.ndarray, "n k"]) -> tuple[float, float]:
-    """Return the usual range of components without spikes, extended by half its span; (inf, -inf) for no components."""
-    finite = [column[np.isfinite(column)] for column in others.T if np.isfinite(column).any()]
-    ends = [np.percentile(median_filter(column, 7, mode="mirror"), (0.1, 99.9)).tolist() for column in finite]
-    least = min((low - (high - low) / 2 for low, high in ends), default=np.inf)
-    return least, max((high + (high - low) / 2 for low, high in ends), default=-np.inf)
+def _usual(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """Return the range of values without spikes, extended by half its span; (inf, -inf) without finite values."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return np.inf, -np.inf
+    low, high = np.percentile(median_filter(finite, 7, mode="mirror"), (0.1, 99.9)).tolist()
+    return low - (high - low) / 2, high + (high - low) / 2
 
 
 def _extended(usual: Float[np.ndarray, " n"], spikes: Float[np.ndarray, " k"]) -> tuple[float, float]:

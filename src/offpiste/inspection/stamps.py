@@ -157,8 +157,9 @@ def _order(where: str, topic: Recorded, seen: Timing, origin: float, clock: Cloc
     """Return findings on stamps that are not finite or go back."""
     total, receive = len(topic.time), _by_arrival(topic)
     values = {"total": total, "bad": total - seen.count, "backward": seen.backward, "dropped": seen.dropped}
-    unset = [found("stamps_not_finite", where, values, receive, score=1 - seen.count / total)]
-    findings = unset if seen.count < total else []
+    findings = []
+    if seen.count < total:
+        findings.append(found("stamps_not_finite", where, values, receive, score=1 - seen.count / total))
     if not seen.backward:
         return findings
     with np.errstate(invalid="ignore"):  # infinite stamps
