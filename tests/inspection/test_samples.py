@@ -1,5 +1,6 @@
 """Faults of single channels: held values, dropouts, spikes, wraps, and samples that are not finite."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,11 @@ from offpiste.inspection.inspect import inspect_log
 CLEAN = drive_log()
 
 
-def test_every_message_is_used() -> None:
+def test_every_message_is_used_and_every_used_one_exists() -> None:
     sources = "".join(file.read_text() for file in Path(findings.__file__).parent.glob("*.py"))
     assert [name for name in findings.MESSAGES if f'"{name}"' not in sources] == []
+    said = re.findall(r'(?:found|fixed|_of_runs)\(\s*"(\w+)"|code = "(\w+)"|code = .* else "(\w+)"', sources)
+    assert {name for names in said for name in names if name} <= findings.MESSAGES.keys()
 
 
 def test_a_channel_that_hangs_is_named_with_its_time() -> None:
