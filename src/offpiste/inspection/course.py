@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.inspection.driven_path import STEP, DrivenPath
-from offpiste.inspection.findings import Finding, Severity, fixable
+from offpiste.inspection.findings import Finding, Severity, found
 from offpiste.inspection.lags import SURE, jackknife
 from offpiste.logs.channel import turning_sign
 from offpiste.logs.drive import Drive
@@ -81,16 +81,13 @@ def _check_heading(name: str, plain: Reading, others: Sequence[Reading], rig: Ri
     # Axes that match their names are the least likely to be wrong.
     ways.sort(key=lambda way: (against_names(way[0], rig), len(way[0]), -way[1]))
     cures = tuple(cure for cure, _ in ways)
-    what = "the heading does not follow the course"
-    if cures and name == "yaw" and {"channels.yaw.sign", "motion.axes"} & {edit.key for edit in cures[0]}:
-        what += ": it counts clockwise"
-    evidence = f"they agree to {plain.together:.2f} (1: always, 0: never)"
     if not cures:
-        how = "take another pose, or fix its axes: heading must be anticlockwise with x forward"
-        severity: Severity = "fatal" if plain.together < _APART else "warning"
-        return [Finding(severity, name, what, evidence, how, 1.0, sure=plain.together < _APART)]
-    evidence += f", and to {ways[0][1]:.2f} with the remedy"
-    return [fixable("fatal", name, what, evidence, *cures)]
+        clear = plain.together < _APART
+        severity: Severity = "fatal" if clear else "warning"
+        return [found("heading_apart", name, {"together": plain.together}, severity=severity, sure=clear)]
+    clockwise = name == "yaw" and {"channels.yaw.sign", "motion.axes"} & {edit.key for edit in cures[0]}
+    about = {"together": plain.together, "better": ways[0][1]}
+    return [found("heading_clockwise" if clockwise else "heading_axes", name, about, *cures)]
 
 
 def readings(drive: Drive, path: DrivenPath) -> Iterator[Reading]:
@@ -173,15 +170,12 @@ def _with_offset(name: str, reading: Reading, rig: Rig) -> tuple[Edit, ...]:
 
 
 def _turned(name: str, reading: Reading, rig: Rig) -> Finding:
-    size, sigma = np.degrees((reading.offset, reading.offset_sigma))
-    evidence = f"{size:.0f} ± {sigma:.0f} degrees where it drives straight"
+    about = {"degrees": np.degrees(reading.offset), "sigma": np.degrees(reading.offset_sigma)}
     cure = _with_offset(name, reading, rig)
-    how = ", ".join(map(str, cure))
-    backwards = abs(reading.offset) > np.radians(150)  # confirmed by related findings only
-    how += "; or it drives backwards" if backwards else ""
-    what = "the heading is turned against the course"
-    severity: Severity = "fatal" if not backwards and abs(reading.offset) > _SPOILS else "warning"
-    return Finding(severity, name, what, evidence, how, 0.8, (cure,), sure=not backwards)
+    if abs(reading.offset) > np.radians(150):  # confirmed by related findings only
+        return found("heading_backwards", name, about, cure, sure=False)
+    severity: Severity = "fatal" if abs(reading.offset) > _SPOILS else "warning"
+    return found("heading_turned", name, about, cure, severity=severity)
 
 
 def straight_rows(path: DrivenPath) -> Bool[np.ndarray, " n"]:

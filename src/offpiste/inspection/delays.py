@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from offpiste.inspection.driven_path import DrivenPath
-from offpiste.inspection.findings import Cure, Finding
+from offpiste.inspection.findings import Cure, Finding, found
 from offpiste.inspection.lags import LAGS, SURE, LagFit, fit_lags, lagged
 from offpiste.inspection.response import Prior, moving_rows, prior
 from offpiste.logs.channel import Channel
@@ -63,14 +63,12 @@ def check_delay(name: str, fit: LagFit, rig: Rig, *, sign: int, steady: LagFit |
         if abs(fit.r[best]) < own.clear + more or gained < max(SURE * gained_sigma, least):
             return []
     lag, sigma = fit.delay(best)
-    evidence = f"the motion is {abs(lag):.2f} ± {sigma:.2f} s {'before' if lag < 0 else 'after'} it: "
-    evidence += f"R2 {fit.r[best] ** 2:.2f} there and {fit.r[inside] ** 2:.2f} at {fit.lags[inside]:.2f} s"
-    what = "is stamped after the motion that it causes" if lag < 0 else "comes long before the motion"
-    cures = _delay_cures(name, lag, own, rig)
-    copied = lag < 0 and not is_measured_steering(name, rig)
-    remedy = ", ".join(map(str, cures[0]))
-    remedy += "; if it is called a command, it is a copy of a measurement" if copied else ""
-    return [Finding("warning", name, what, evidence, remedy, min(abs(lag), 1.0), cures)]
+    about = {"delay": abs(lag), "sigma": sigma, "best": fit.r[best] ** 2, "usual": fit.r[inside] ** 2}
+    about["at"], cures, score = fit.lags[inside], _delay_cures(name, lag, own, rig), min(abs(lag), 1.0)
+    if lag > 0:
+        return [found("control_early", name, about, *cures, score=score)]
+    fixed = "fixed" if is_measured_steering(name, rig) else "copied"
+    return [found("control_late", name, about, *cures, score=score, fixed=fixed)]
 
 
 def _outside(fit: LagFit, plausible: tuple[float, float], sign: int) -> int:
@@ -155,12 +153,10 @@ def drifting_delay(name: str, delays: WindowDelays) -> list[Finding]:
     lasts = float(np.ptp(delays.time))
     if max(least, -most) * lasts <= _DRIFT:
         return []
-    evidence = f"{delays.words}, and {slope * lasts:+.2f} s more at the end than at the beginning "
-    evidence += f"({least * lasts:+.2f} to {most * lasts:+.2f}, 99 %)"
-    how = "no constant delay fixes it: record it with the clock of the pose, or align its clock with [alignment]"
+    about = {"delays": delays.words, "change": slope * lasts, "least": least * lasts, "most": most * lasts}
     # A slow actuator may delay the motion, but no vehicle turns before it is steered.
     own = np.percentile(delays.delay, 10) >= 0 and abs(slope) * lasts < _SLOWER
-    return [Finding("note" if own else "warning", name, "has a clock that drifts", evidence, how, 0.9)]
+    return [found("steering_clock", name, about, severity="note" if own else "warning")]
 
 
 def changing_delay(name: str, delays: WindowDelays) -> list[Finding]:
@@ -171,5 +167,4 @@ def changing_delay(name: str, delays: WindowDelays) -> list[Finding]:
     before = int((delays.delay <= _BEFORE).sum())
     if high - low < _SPREAD or before < max(_EARLY, _OFTEN * len(delays.delay)):
         return []
-    how = "use another source for it (a command that follows the motion is a late copy), or align its clock"
-    return [Finding("warning", name, "has a delay that changes", delays.words, how + " with [alignment]", 0.9)]
+    return [found("changing_delay", name, {"delays": delays.words})]

@@ -6,7 +6,7 @@ from offpiste.core.errors import OffpisteError
 from offpiste.inspection.checks import Topics, check_motion, check_topics
 from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import MOVING, DrivenPath, driven_path
-from offpiste.inspection.findings import Finding, fixable, is_fatal, ranked
+from offpiste.inspection.findings import Finding, found, is_fatal, ranked
 from offpiste.inspection.heading_drift import check_fast_drift
 from offpiste.inspection.pedals import check_control_channels
 from offpiste.inspection.pose import check_orientation, check_pose, check_position_unit, leap_of
@@ -75,7 +75,8 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], D
         drive = drive_from_log(log, rig)
         path = driven_path(drive)
     except OffpisteError as error:
-        return [*findings, Finding("fatal", "log", error.what, "on reading it", error.how, 1.0)], None
+        unreadable = {"what": error.what, "evidence": "on reading it", "how": error.how}
+        return [*findings, found("unreadable", "log", unreadable)], None
     beside = topics.recorded[pose].fields if pose in topics.recorded else ()
     tipped = check_level(drive.channels["position"], rig, beside)
     unfit = check_position_unit(drive, path) or _check_amount(path) or (tipped if is_fatal(tipped) else [])
@@ -105,15 +106,11 @@ def _check_pose_names(rig: Rig) -> list[Finding]:
     findings = []
     down = [field for field in rig.channels["position"].fields[2:] if named_down(field)]
     if down and rig.motion.axes not in WORLD_DOWN:
-        edit, what = Edit("motion.axes", "ned"), "its third field is named down, and is read as up"
-        evidence = f"'{down[0]}'; hills would be valleys"
-        findings.append(fixable("warning", "position", what, evidence, (edit,), score=0.9))
+        findings.append(found("named_down", "position", {"field": down[0]}, (Edit("motion.axes", "ned"),)))
     named = rig.channels["yaw"].fields if "yaw" in rig.channels else ()
     course = [field for field in named if named_course(field)]
     if course:
-        what = "is a course over ground, by its name, and no heading"
-        evidence = f"'{course[0]}'; sliding cannot be seen in it, backwards looks like forwards, at rest it is noise"
-        findings.append(Finding("note", "yaw", what, evidence, "take a heading where one is recorded", 0.3))
+        findings.append(found("heading_of_course", "yaw", {"field": course[0]}))
     return findings
 
 
@@ -129,7 +126,5 @@ def _check_amount(path: DrivenPath) -> list[Finding]:
     """Return a finding if there is too little driving."""
     if path.driving >= _LEAST_DRIVING and path.cruise >= _LEAST_CRUISE:
         return []
-    evidence = f"{path.driving:.1f} s faster than {MOVING} m/s, {path.distance:.1f} m, 95 % of the speeds below "
-    evidence += f"{path.cruise:.2f} m/s"
-    what = "hardly moves" if path.driving < 1 else "is driven for too short a time"
-    return [Finding("fatal", "position", what, evidence, "record more driving, or fix channels.position", 1.0)]
+    about = {"driving": path.driving, "moving": MOVING, "distance": path.distance, "cruise": path.cruise}
+    return [found("hardly_moves" if path.driving < 1 else "short_drive", "position", about)]

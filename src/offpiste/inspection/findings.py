@@ -58,24 +58,27 @@ def found(
     severity: Severity | None = None,
     score: float | None = None,
     remedy: str = "remedy",
+    fixed: str = "fixed",
+    sure: bool = True,
 ) -> Finding:
     """Return a finding in the words of messages.toml.
 
     Args:
         code: name of the message.
         where: topic, field or channel.
-        values: values of its placeholders, besides `score` and `fix`, the first fix.
+        values: values of its placeholders, besides `where`, `score` and `fix`, the first fix.
         cures: candidate fixes, most likely first; empty ones are dropped.
         severity, score: override the message's.
-        remedy: which of the message's remedies to take without a fix.
+        remedy, fixed: which of the message's remedies to take without and with a fix.
+        sure: see `Finding`.
     """
     message, known = MESSAGES[code], tuple(cure for cure in cures if cure)
     score = message.get("score", 1.0) if score is None else score
-    advice = message.get("fixed", "{fix}") if known else message.get(remedy, "")
-    values = {**values, "score": score, "fix": ", ".join(map(str, known[0])) if known else ""}
+    advice = message.get(fixed, "{fix}") if known else message.get(remedy, "")
+    values = {"where": where, **values, "score": score, "fix": ", ".join(map(str, known[0])) if known else ""}
     what, evidence, how = (text.format(**values) for text in (message["what"], message["evidence"], advice))
     by_score: Severity = "warning" if score > message.get("warning_above", inf) else "note"
-    return Finding(severity or message.get("severity", by_score), where, what, evidence, how, score, known)
+    return Finding(severity or message.get("severity", by_score), where, what, evidence, how, score, known, sure)
 
 
 def fixable(

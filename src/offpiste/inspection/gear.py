@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from offpiste.core.errors import OffpisteError
 from offpiste.inspection.channel_guesses import Guess
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath, driven_path
-from offpiste.inspection.findings import Finding, fixable
+from offpiste.inspection.findings import Finding, found
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged, sampled
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.channel import increasing
@@ -88,9 +88,7 @@ def check_gear(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded])
     if against.sum() * STEP < _LEAST_AGAINST or (share < _SHARE and not one_wrong):
         return []
     cure = _meanings(drive, path, moving, raw)
-    evidence = f"the vehicle moves against it for {against.sum() * STEP:.1f} s, {share:.0%} of its motion"
-    how = "give `values` for what is recorded, or leave the channel out"
-    return [fixable("warning", "gear", "does not go with the motion", evidence, cure, score=share, advice=how)]
+    return [found("gear_against_motion", "gear", {"seconds": against.sum() * STEP}, cure, score=share)]
 
 
 def pedal_reverses(drive: Drive, path: DrivenPath) -> bool:
@@ -138,8 +136,7 @@ def _reverse_pedal(rig: Rig) -> Finding:
     gear |= {"offset": rounded(each * source.offset)} if source.offset else {}
     gear |= {"sign": -1} if source.sign < 0 else {}
     cure = (Edit("channels.throttle.absolute", True), Edit("channels.gear", gear), *absent("brake", rig))
-    evidence = f"below zero '{source.fields[0]}' drives the vehicle backwards, and does not brake it"
-    return fixable("warning", "brake", "is reverse, and no brake", evidence, cure)
+    return found("pedal_is_reverse", "brake", {"field": source.fields[0]}, cure)
 
 
 def _hidden_reverse(drive: Drive, path: DrivenPath) -> list[Finding]:
@@ -151,14 +148,12 @@ def _hidden_reverse(drive: Drive, path: DrivenPath) -> list[Finding]:
     stretches = [(first, last) for first, last in edges if driven[first:last].sum() * STEP >= _LASTS]
     if not stretches:
         return []
-    seconds = sum(last - first for first, last in stretches) * STEP
-    times = "once" if len(stretches) == 1 else f"{len(stretches)} times"
-    evidence = f"{times}, {seconds:.1f} s in all, from {path.time[stretches[0][0]] - path.time[0]:.1f} s on, "
-    evidence += "with the throttle pressed"
-    how = (
-        "add [channels.gear] where the log has one (docs/rig.md); without it, models expect throttle to drive forwards"
-    )
-    return [Finding("note", "gear", "is not read, and the vehicle reverses", evidence, how, 0.4)]
+    about = {
+        "times": "once" if len(stretches) == 1 else f"{len(stretches)} times",
+        "seconds": sum(last - first for first, last in stretches) * STEP,
+        "since": path.time[stretches[0][0]] - path.time[0],
+    }
+    return [found("gear_unread", "gear", about)]
 
 
 def _pressed(drive: Drive, path: DrivenPath) -> Bool[np.ndarray, " n"]:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from offpiste.core.conventions import SIGMA_PER_MEDIAN
 from offpiste.inspection.course import course_minus_heading, straight_rows
 from offpiste.inspection.driven_path import DrivenPath
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, found
 from offpiste.inspection.lags import SURE, fit_lags
 from offpiste.logs.drive import Drive
 from offpiste.logs.motion import heading
@@ -43,7 +43,8 @@ def check_heading_drift(drive: Drive, path: DrivenPath) -> list[Finding]:
     change, sigma = float(fit.gain[0]) * lasts, fit.gain_sigma(0) * lasts
     if abs(change) < _DRIFT + SURE * sigma:
         return []
-    return [_drifts(drive, f"{np.degrees(-change):.0f} ± {np.degrees(sigma):.0f}", lasts)]
+    degrees = f"{np.degrees(-change):.0f} ± {np.degrees(sigma):.0f}"
+    return [found("heading_drifts", _heading(drive), {"degrees": degrees, "seconds": lasts})]
 
 
 def check_fast_drift(drive: Drive, path: DrivenPath) -> list[Finding]:
@@ -60,7 +61,8 @@ def check_fast_drift(drive: Drive, path: DrivenPath) -> list[Finding]:
         return []
     if circles >= _EVENLY and abs(turning - rate) < 0.2 * abs(rate):
         return []
-    return [_drifts(drive, f"{np.degrees(-rate) * lasts:.0f}", lasts)]
+    degrees = f"{np.degrees(-rate) * lasts:.0f}"
+    return [found("heading_drifts", _heading(drive), {"degrees": degrees, "seconds": lasts})]
 
 
 def _even_turning(angle: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"]) -> tuple[float, float]:
@@ -73,11 +75,8 @@ def _even_turning(angle: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"])
     return float(rates[best]), float(turned[best])
 
 
-def _drifts(drive: Drive, degrees: str, lasts: float) -> Finding:
-    name = "yaw" if "yaw" in drive.channels else "orientation"
-    evidence = f"against the course it turns by {degrees} degrees in {lasts:.0f} s, where the vehicle drives straight"
-    how = "no rig line fixes it: take a heading that is corrected by a compass, GNSS or SLAM"
-    return Finding("warning", name, "the heading drifts", evidence, how, 0.6)
+def _heading(drive: Drive) -> str:
+    return "yaw" if "yaw" in drive.channels else "orientation"
 
 
 def check_heading_noise(drive: Drive, path: DrivenPath) -> list[Finding]:
@@ -91,7 +90,4 @@ def check_heading_noise(drive: Drive, path: DrivenPath) -> list[Finding]:
     sigma = SIGMA_PER_MEDIAN * float(np.median(third)) / np.sqrt(20)
     if sigma < _NOISY:
         return []
-    name = "yaw" if "yaw" in drive.channels else "orientation"
-    evidence = f"single headings scatter by {np.degrees(sigma):.1f} degrees while the vehicle moves"
-    how = "take a smoother heading: every prediction starts from one of these"
-    return [Finding("warning", name, "the heading is noisy", evidence, how, 0.6)]
+    return [found("heading_noisy", _heading(drive), {"degrees": np.degrees(sigma)})]

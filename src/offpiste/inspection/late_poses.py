@@ -13,7 +13,7 @@ import numpy as np
 
 from offpiste.core.geometry import planar_body_from_world
 from offpiste.inspection.driven_path import STEP, DrivenPath, fit_delayed
-from offpiste.inspection.findings import Finding, fixable
+from offpiste.inspection.findings import Finding, found
 from offpiste.inspection.lags import SURE, LagFit, fit_lags
 from offpiste.inspection.response import PRIORS, SteeringFit, moving_rows, prior
 from offpiste.inspection.velocity import fit_frames, fit_turn_rate, fit_wheel_speed, turn_rate_name
@@ -80,20 +80,21 @@ def check_late_poses(
 ) -> list[Finding]:
     """Return a finding if a pose delay explains the measurements better than delays of all other channels."""
     measured = [*_intervals(drive, path, steering, pedals)]
-    found, least, delay = None, float(_costs(measured, (), np.zeros(1), drive)[0]) - _ONE_MORE - 1, 0.0
-    for late in _hypotheses(drive):
-        costs = _costs(measured, late, _TRIED, drive)
+    late: tuple[str, ...] = ()
+    least, delay = float(_costs(measured, (), np.zeros(1), drive)[0]) - _ONE_MORE - 1, 0.0
+    for channels in _hypotheses(drive):
+        costs = _costs(measured, channels, _TRIED, drive)
         best = int(costs.argmin())
         if costs[best] < least and abs(_TRIED[best]) > _LATE:
-            found, least, delay = late, float(costs[best]), float(_TRIED[best])
-    if found is None or (0 < delay <= _SLOW and not _beside_controls(measured, found, delay, drive)):
+            late, least, delay = channels, float(costs[best]), float(_TRIED[best])
+    if not late or (0 < delay <= _SLOW and not _beside_controls(measured, late, delay, drive)):
         return []
-    channels = drive.rig.channels
-    cure = tuple(Edit(f"channels.{name}.delay", round(channels[name].delay + delay, 2)) for name in found)
+    sources = drive.rig.channels
+    cure = tuple(Edit(f"channels.{name}.delay", round(sources[name].delay + delay, 2)) for name in late)
     wrong = [i for i in measured if abs(i.time - i.usual) > max(2 * i.spread, _LATE / 2)]
     apart = ", ".join(f"{i.behind} {i.time - i.usual:+.2f} s behind {i.other}" for i in wrong)
-    evidence = f"{apart}, apart from what is usual: {delay:+.2f} s of {' and '.join(found)} explain most"
-    return [fixable("warning", found[0], "is late" if delay > 0 else "is early", evidence, cure, score=0.9)]
+    about = {"apart": apart, "delay": delay, "together": " and ".join(late)}
+    return [found("pose_late" if delay > 0 else "pose_early", late[0], about, cure)]
 
 
 def _beside_controls(measured: Sequence[Interval], late: Sequence[str], by: float, drive: Drive) -> bool:

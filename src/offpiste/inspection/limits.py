@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from offpiste.core.channels import CONTROLS
 from offpiste.inspection.driven_path import TURNING, DrivenPath
-from offpiste.inspection.findings import Finding, Severity
+from offpiste.inspection.findings import Finding, Severity, found
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged
 from offpiste.inspection.response import moving_rows
 from offpiste.logs.channel import Channel
@@ -65,10 +65,8 @@ def check_cut_off(drive: Drive, path: DrivenPath) -> list[Finding]:
         at_lock = name == "steer" and np.isclose(size.max(), 1.0, rtol=1e-3)
         if further < (_FURTHER_AT_LOCK if at_lock else _FURTHER) + SURE * sigma:
             continue
-        evidence = f"{piled:.0%} of its samples are {size.max():.3g}, and there the vehicle turns {1 + further:.1f} ± "
-        evidence += f"{sigma:.1f} times as much as its other samples predict"
-        how = "no rig line fixes it: record its whole range, or take another field"
-        findings.append(Finding("warning", name, "is cut off at its largest value", evidence, how, min(piled, 1.0)))
+        about = {"piled": piled, "largest": size.max(), "further": 1 + further, "sigma": sigma}
+        findings.append(found("cut_off", name, about, score=min(piled, 1.0)))
     return findings
 
 
@@ -110,14 +108,15 @@ def check_range_ends(drive: Drive) -> list[Finding]:
         if not limits or max(float(side.max()) for side in sides) >= _WHOLE * control.high:
             continue
         ends, presses = zip(*limits, strict=True)
-        edits = ", ".join(map(str, rescaled(control.name, drive.rig.channels[control.name], 1 / max(ends))))
-        evidence = f"{sum(presses)} times it ends at exactly {' and '.join(f'{end:.3g}' for end in ends)}, coming from "
-        evidence += "less, and never goes further: the range is 1"
-        what = "ends short of its range: it is cut off, or in another scale"
-        how = f"record its whole range; or {edits} if that is full {control.name}"
+        edits = rescaled(control.name, drive.rig.channels[control.name], 1 / max(ends))
+        about = {
+            "presses": sum(presses),
+            "ends": " and ".join(f"{end:.3g}" for end in ends),
+            "edits": ", ".join(map(str, edits)),
+        }
         # Automation holds a brake at a constant value.
         severity: Severity = "note" if control.name == "brake" else "warning"
-        findings.append(Finding(severity, control.name, what, evidence, how, 0.5))
+        findings.append(found("short_range", control.name, about, severity=severity))
     return findings
 
 
@@ -145,7 +144,7 @@ def check_resolution(drive: Drive, path: DrivenPath) -> list[Finding]:
         values = drive.channels[name].values[:, :2]
         step = max(_step(column) for column in values[np.isfinite(values).all(axis=1)].T)
         if step > max(least, share * path.cruise):
-            findings.append(_coarse(name, f"all its values are multiples of {step:.3g}"))
+            findings.append(found("coarse_values", name, {"step": step}))
     for name in (name for name in ("steer", "steer_angle") if name in drive.channels):
         values = drive.channels[name].values[np.isfinite(drive.channels[name].values[:, 0]), 0]
         levels, step = len(_distinct(values)), _step(values)
@@ -153,13 +152,8 @@ def check_resolution(drive: Drive, path: DrivenPath) -> list[Finding]:
             changes = np.rint(np.abs(np.diff(values)) / step)
             changes = changes[changes > 0]
             if len(changes) > 2 * levels and np.mean(changes == 1) > _ONE_BY_ONE:
-                findings.append(_coarse(name, f"it takes {levels} values, {step:.3g} apart, one by one"))
+                findings.append(found("coarse_levels", name, {"levels": levels, "step": step}))
     return findings
-
-
-def _coarse(name: str, evidence: str) -> Finding:
-    how = "no rig line fixes it: record it with more digits (as float64, or in smaller units), or take another field"
-    return Finding("warning", name, "is recorded in coarse steps", evidence, how, 0.6)
 
 
 def _step(values: Float[np.ndarray, " n"]) -> float:

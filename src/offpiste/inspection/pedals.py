@@ -10,7 +10,7 @@ from offpiste.core.conventions import GRAVITY
 from offpiste.inspection.course import heading_fits
 from offpiste.inspection.delays import check_delay
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath
-from offpiste.inspection.findings import Cure, Finding, Severity, fixable
+from offpiste.inspection.findings import Cure, Finding, Severity, found
 from offpiste.inspection.lags import LAGS, SURE, LagFit, fit_lags, lagged, sampled
 from offpiste.inspection.response import PRIORS, SteeringFit
 from offpiste.inspection.samples import BRAKES, is_untouched
@@ -51,17 +51,10 @@ def check_controls(
     drives = any(fit.strength >= PRIORS[name].effect for name, fit in pedals.items())
     others = _others_work(drive, path)
     if "steer" not in drive.channels and drives:
-        what, evidence = "there is no steering", "pedals alone do not tell where the vehicle goes"
-        remedy = "add [channels.steer] with the topic that holds it: commanded, or else measured"
-        evidence += "" if given else "; no field is named so: a rig can name it, and without it nothing can be trained"
         # Without a rig the channels are guessed from names, so the steering may have another name.
-        findings.append(Finding("fatal" if given else "warning", "controls", what, evidence, remedy, 1.0))
+        findings.append(found("no_steering" if given else "no_steering_found", "controls", {}))
     if given and steers and "throttle" not in drive.channels and not others:
-        what, evidence = "there is no throttle", "no channel says how the vehicle is driven on"
-        remedy = (
-            "add [channels.throttle], and [channels.brake], where the log has them; else no model can foresee the speed"
-        )
-        findings.append(Finding("warning", "controls", what, evidence, remedy, 0.8))
+        findings.append(found("no_throttle", "controls", {}))
     if not steers and not drives and not others:
         findings.append(_no_controls(present, path))
     return findings
@@ -77,10 +70,8 @@ def _present(drive: Drive) -> list[str]:
 
 
 def _no_controls(present: list[str], path: DrivenPath) -> Finding:
-    what = "no control has any effect" if present else "there is no control channel"
-    evidence = f"checked: {', '.join(present) or 'none'}; {path.distance:.0f} m driven"
-    remedy = "add [channels.steer] and [channels.throttle] with the topics that hold them"
-    return Finding("fatal", "controls", what, evidence, remedy, 1.0)
+    about = {"present": ", ".join(present), "distance": path.distance}
+    return found("no_control_acts" if present else "no_controls", "controls", about)
 
 
 def _others_work(drive: Drive, path: DrivenPath) -> bool:
@@ -124,13 +115,11 @@ def _wrong_way(name: str, fit: LagFit, drive: Drive, *, both: bool) -> Finding |
     r, against = own.sign * fit.r, float(-own.sign * fit.r[wrong])
     if against <= max(own.effect, SURE * fit.r_sigma(wrong), 2 * r[right], r.max()):
         return None
-    evidence = f"correlation with the acceleration: {fit.r[wrong]:+.2f}, at most {fit.r[right]:+.2f} the right way"
     cures = [_flip(name, drive)]
     # Swapped pedals would both be pressed most of the time, which is implausible.
     if both and all(rests_high(drive.channels[pedal].values[:, 0]) for pedal in ("throttle", "brake")):
         cures.insert(0, _flip("throttle", drive) + _flip("brake", drive))
-    how = ", ".join(map(str, cures[0])) + "; or it is the other pedal"
-    return Finding("warning", name, "acts the wrong way", evidence, how, 1.0, tuple(cures))
+    return found("pedal_reversed", name, {"wrong": fit.r[wrong], "right": fit.r[right]}, *cures)
 
 
 def _flip(name: str, drive: Drive) -> Cure:
@@ -152,15 +141,12 @@ def _never_released(name: str, drive: Drive, path: DrivenPath) -> Finding | None
     pressed = _pressed(name, drive, path)
     if name != "brake" or pressed < _ALWAYS or not rests_high(drive.channels[name].values[:, 0]):
         return None
-    evidence = f"it is above {_PRESSED} for {pressed:.0%} of the time, and the vehicle drives"
-    return fixable("warning", name, "is pressed all the time", evidence, _flip(name, drive))
+    return found("always_pressed", name, {"limit": _PRESSED, "pressed": pressed}, _flip(name, drive))
 
 
 def _without_effect(name: str, fit: LagFit, drive: Drive, path: DrivenPath) -> Finding:
-    evidence = f"correlation with the acceleration: {fit.r[fit.best()]:.2f} at best, within 1.5 s; above {_PRESSED} "
-    evidence += f"for {_pressed(name, drive, path):.1%} of the time"
-    how = "no action needed if it was hardly pressed; else look for another field, or declare it absent"
-    return Finding("note", name, "shows no effect on the speed", evidence, how, 0.5)
+    about = {"r": fit.r[fit.best()], "limit": _PRESSED, "pressed": _pressed(name, drive, path)}
+    return found("pedal_without_effect", name, about)
 
 
 def _braked_without(drive: Drive, path: DrivenPath) -> list[Finding]:
@@ -173,14 +159,12 @@ def _braked_without(drive: Drive, path: DrivenPath) -> list[Finding]:
     often = int((np.diff(np.flatnonzero(braked))[::2] * STEP >= _BRAKED_FOR - 1e-9).sum())
     if often < _BRAKED_OFTEN:
         return []
-    evidence = f"{often} times it slows down by more than {_BRAKED} m/s2 for {_BRAKED_FOR} s or longer, slopes aside"
-    how = "look for another field, or declare it absent"
-    found = []
+    about, findings = {"often": often, "least": _BRAKED, "seconds": _BRAKED_FOR}, []
     for name in brakes:
         pressed = drive.channels[name].values[0, 0] > 0.5
-        what = f"{'stays where it is fully pressed' if pressed else 'is never pressed'}, and the vehicle brakes"
-        found.append(Finding("warning", name, what, evidence, how, 1.0, (absent(name, drive.rig),)))
-    return found
+        code = "brake_never_released" if pressed else "brake_never_pressed"
+        findings.append(found(code, name, about, absent(name, drive.rig)))
+    return findings
 
 
 def _too_small(name: str, fit: LagFit, drive: Drive) -> list[Finding]:
@@ -198,8 +182,7 @@ def _too_small(name: str, fit: LagFit, drive: Drive) -> list[Finding]:
             edit, sure = Edit(f"channels.{name}.unit", unit), 1.0  # explains the factor exactly
     if gain - sure * sigma < _STRONGEST:
         return []
-    evidence = f"it never exceeds {largest:.3g}, and full {name} would mean {gain:.0f} ± {sigma:.0f} m/s2"
-    return [fixable("warning", name, "is too small for what it does", evidence, (edit,))]
+    return [found("too_small", name, {"largest": largest, "gain": gain, "sigma": sigma}, (edit,))]
 
 
 def _idle(name: str, drive: Drive, path: DrivenPath) -> list[Finding]:
@@ -223,5 +206,4 @@ def _idle(name: str, drive: Drive, path: DrivenPath) -> list[Finding]:
     per_unit = source.sign * unit_factor(name, source.unit)
     edit = Edit(f"channels.{name}.offset", rounded(source.offset - lowest / per_unit))
     when = "with the other pedal pressed" if pressed.any() else "at standstills"
-    evidence = f"its lowest value is {lowest:.3g}, {when}, too"
-    return [fixable(severity, name, "never comes back to zero", evidence, (edit,), score=lowest)]
+    return [found("pedal_rest", name, {"when": when}, (edit,), severity=severity, score=lowest)]

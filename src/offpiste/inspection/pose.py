@@ -1,6 +1,6 @@
 """Checks of the pose: quaternion order, vertical axis, jumps and units."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Final
 
@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 from offpiste.core.conventions import SIGMA_PER_MEDIAN
 from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.inspection.driven_path import STEP, DrivenPath
-from offpiste.inspection.findings import Finding, fixable
+from offpiste.inspection.findings import Finding, Severity, found
 from offpiste.inspection.pose_samples import check_faults, check_repeats, check_seldom
 from offpiste.logs.channel import Channel, to_z_up
 from offpiste.logs.drive import Drive
@@ -55,31 +55,23 @@ def check_orientation(quaternion: Float[np.ndarray, "n 4"], rig: Rig) -> list[Fi
     findings = []
     off = float(np.mean(np.abs(np.linalg.norm(known, axis=1) - 1) > 0.05))
     if off > 0.01:
-        findings.append(
-            Finding(
-                "fatal" if off > 0.5 else "warning",
-                "orientation",
-                "quaternions are not of length 1",
-                f"{off:.1%} of them; the median length is {np.median(norm):.3g}",
-                "fix channels.orientation.fields; such rows are dropped on reading",
-                off,
-            )
-        )
+        severity: Severity = "fatal" if off > 0.5 else "warning"
+        about = {"median": np.median(norm)}
+        findings.append(found("quaternion_length", "orientation", about, severity=severity, score=off))
     source = rig.channels["orientation"]
     up = _up(to_z_up("orientation", source, known, rig.motion.axes))
     if up > _UPRIGHT:
         return findings
-    evidence = f"the median z component of the body's z axis is {up:.2f} where a vehicle's is near 1"
     cures: list[tuple[Edit, ...]] = []
-    what, remedy = "the body's z axis does not point up", "take another pose, or turn this one to z up"
+    code = "not_upright"
     if _up(np.roll(known, -1, axis=1)) > 0.9:
-        what = "the quaternion is stored as w x y z"
+        code = "quaternion_order"
         cures.append((Edit("channels.orientation.fields", [*source.fields[1:], source.fields[0]]),))
     if up < -_UPRIGHT:
-        what = what if cures else "the body's z axis points down"
+        code = code if cures else "upside_down"
         cures += [(Edit("motion.axes", axes),) for axes in ("body down", "world down") if axes != rig.motion.axes]
         cures += [(Edit("motion.axes", "z up"),)] if rig.motion.axes != "z up" else []
-    return [*findings, fixable("fatal", "orientation", what, evidence, *cures, advice=remedy)]
+    return [*findings, found(code, "orientation", {"up": up}, *cures)]
 
 
 def check_position_unit(drive: Drive, path: DrivenPath) -> list[Finding]:
@@ -88,25 +80,21 @@ def check_position_unit(drive: Drive, path: DrivenPath) -> list[Finding]:
     xy, source = places[:, :2], rig.channels["position"]
     if _is_earth_centred(places):
         x, y, z = (float(each) for each in np.median(places, axis=0))
-        how = "take a pose in a frame of the place (east, north, up), or latitude and longitude"
-        evidence = f"around ({x:.0f}, {y:.0f}, {z:.0f}), {np.linalg.norm((x, y, z)) / 1000:.0f} km from its middle"
-        what = "is in the earth's own frame (ECEF), whose z is not up"
-        return [Finding("fatal", "position", what, evidence, how, 1.0)]
+        about = {"x": x, "y": y, "z": z, "km": np.linalg.norm((x, y, z)) / 1000}
+        return [found("earth_centred", "position", about)]
     degrees = np.ptp(xy, axis=0).max() < 0.5 and np.abs(xy).min(axis=1).max() <= 90 and np.abs(xy).max() <= 360
     if degrees and 1e-8 < path.cruise < 1e-3 and np.abs(xy).max() > 1:
         return [_geographic(rig, xy, path)]
     if path.cruise > _FASTEST or _acceleration(path) > _HARDEST:
         now = source.unit or "m"
-        evidence = f"95 % of the speeds reach {path.cruise:.3g} m/s and of the accelerations {_acceleration(path):.3g} "
-        evidence += f"m/s2, read as {now}"
+        fast = {"speed": path.cruise, "acceleration": _acceleration(path), "unit": now}
         per_unit = partial(unit_factor, "position")
         factors = {unit: per_unit(unit) / per_unit(now) for unit in ("cm", "mm", "m", "ft") if unit != now}
         # Units with plausible tyre forces come first.
         units = [unit for unit, factor in factors.items() if _plausible(path, factor)]
         units.sort(key=lambda unit: factors[unit] * _acceleration(path) > _GRIP)
         cures = tuple((Edit("channels.position.unit", unit),) for unit in units) or _scales(rig, path)
-        how = "fix channels.position.unit or scale"
-        return [fixable("fatal", "position", "moves too fast", evidence, *cures, advice=how)]
+        return [found("too_fast", "position", fast, *cures)]
     return []
 
 
@@ -119,7 +107,6 @@ def _is_earth_centred(places: Float[np.ndarray, "n k"]) -> bool:
 
 
 def _geographic(rig: Rig, xy: Float[np.ndarray, "n 2"], path: DrivenPath) -> Finding:
-    evidence = f"around ({xy[0, 0]:.5f}, {xy[0, 1]:.5f}), moving by {path.cruise:.1e} a second"
     x, y, *height = rig.channels["position"].fields
     unit = Edit("channels.position.unit", GEOGRAPHIC)
     cures: list[tuple[Edit, ...]] = [(unit,), (unit, Edit("channels.position.fields", [y, x, *height]))]
@@ -127,8 +114,7 @@ def _geographic(rig: Rig, xy: Float[np.ndarray, "n 2"], path: DrivenPath) -> Fin
         cures.reverse()
     if "orientation" in rig.channels and rig.motion.axes == "z up":  # an INS, whose orientation has axes of its own
         cures.insert(1, (*cures[0], Edit("motion.axes", "ned")))
-    how = f"{', '.join(map(str, cures[0]))}: the latitude comes first; or take another pose"
-    return Finding("fatal", "position", "looks like latitude and longitude", evidence, how, 1.0, tuple(cures))
+    return found("geographic", "position", {"x": xy[0, 0], "y": xy[0, 1], "speed": path.cruise}, *cures)
 
 
 def _acceleration(path: DrivenPath) -> float:
@@ -171,18 +157,15 @@ def _noise(drive: Drive, path: DrivenPath) -> list[Finding]:
     if velocity is not None and velocity.frame != "unknown":
         if sigma < max(_NOISY * path.cruise, 0.02):
             return []
-        evidence = f"places scatter by {sigma:.3g} m around a smooth path"
-        how = "take a smoother pose: every prediction starts from one of these places"
-        return [Finding("warning", "position", "is noisy", evidence, how, 0.6)]
+        return [found("noisy", "position", {"sigma": sigma})]
     window = drive.rig.motion.window
     error = sigma * np.sqrt(12 * step / window) / window
     most = max(_NOISY * path.cruise, 0.03)
     if error < most or step > window / 4:
         return []
     wider = round(min(window * (error / most) ** (2 / 3), _WIDEST), 2)
-    evidence = f"noise of {sigma:.3g} m makes velocities over {window:g} s uncertain by {error:.2g} m/s"
-    edit = Edit("motion.window", wider)
-    return [fixable("warning", "position", "is too noisy to differentiate", evidence, (edit,), score=0.6)]
+    about = {"sigma": sigma, "window": window, "error": error}
+    return [found("too_noisy", "position", about, (Edit("motion.window", wider),))]
 
 
 def _jumps(place: Channel, path: DrivenPath, origin: float) -> list[Finding]:
@@ -206,16 +189,10 @@ def _jumping(
         return None
     worst = jumps[excess[jumps].argmax()]
     share = min(5.0 * len(jumps) / (time[-1] - time[0]), 1.0)
-    serious = excess[worst] > 2 * least or share > 0.1
+    severity: Severity = "warning" if excess[worst] > 2 * least or share > 0.1 else "note"
     when = ", ".join(f"{time[j] - origin:.2f} s" for j in jumps[:5]) + (", ..." if len(jumps) > 5 else "")
-    return Finding(
-        "warning" if serious else "note",
-        "position",
-        "jumps",
-        f"{len(jumps)} times, by up to {excess[worst]:.2f} m{words} between two samples; at {when}",
-        "no rig line fixes it: cut the log there, or take a pose without corrections (odometry, not SLAM or GPS)",
-        share,
-    )
+    about = {"count": len(jumps), "size": excess[worst], "way": words, "times": when}
+    return found("position_jumps", "position", about, severity=severity, score=share)
 
 
 @dataclass(frozen=True)
@@ -270,9 +247,7 @@ def _check_leap(path: DrivenPath, origin: float) -> list[Finding]:
     leap = leap_of(path)
     if leap is None:
         return []
-    evidence = f"at {leap.time - origin:.1f} s, from {leap.before:.3g} to {leap.after:.3g} m/s, and it stays so"
-    how = "no rig line fixes it: cut the log there, or take another pose"
-    return [Finding("warning", "position", "changes its velocity in an instant", evidence, how, 0.7)]
+    return [found("leap", "position", {**asdict(leap), "time": leap.time - origin})]
 
 
 def _up(quaternion: Float[np.ndarray, "n 4"]) -> float:

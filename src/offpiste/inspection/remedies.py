@@ -15,7 +15,7 @@ import numpy as np
 
 from offpiste.core.errors import OffpisteError
 from offpiste.inspection.course import against_names
-from offpiste.inspection.findings import EXCHANGED, TIPPED, Cure, Finding, ranked
+from offpiste.inspection.findings import EXCHANGED, TIPPED, Cure, Finding, found, ranked
 from offpiste.logs.channel import turning_sign
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, edited, rounded
@@ -83,14 +83,9 @@ def _mirrored(causes: Sequence[Finding], rig: Rig) -> list[Finding]:
     if len(against) < 2 or keys & {"channels.yaw.sign", "channels.position.fields"}:
         return []
     yaw, geographic = rig.channels.get("yaw"), rig.channels["position"].unit == GEOGRAPHIC
-    evidence = f"{', '.join(against)} turn the other way than positions and heading do"
-    if geographic and yaw is not None and yaw.sign > 0 and rig.motion.axes == "z up":
-        evidence += ", and so does the heading, which counts clockwise beside latitudes and longitudes"
-        how = "longitudes that are positive to the west, as of a .vbo file, are to be negated in the log"
-        return [Finding("warning", "position", "is seen in a mirror", evidence, how, 1.0)]
-    how = "no action needed if these count to the right; else negate y and the heading in the log, or, "
-    how += "if the heading is a compass's, exchange x and y in the rig: the pose is mirrored then"
-    return [Finding("note", "position", "may be seen in a mirror", evidence, how, 0.5)]
+    west = geographic and yaw is not None and yaw.sign > 0 and rig.motion.axes == "z up"
+    about = {"channels": ", ".join(against)}
+    return [found("mirrored_longitudes" if west else "mirrored_pose", "position", about)]
 
 
 def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cure, tuple[Finding, ...]] | None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from offpiste.inspection.delays import changing_delay, check_delay, drifting_delay, window_delays
 from offpiste.inspection.driven_path import DrivenPath
-from offpiste.inspection.findings import Cure, Finding, fixable
+from offpiste.inspection.findings import Cure, Finding, found
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged
 from offpiste.inspection.response import SteeringFit, moving_rows
 from offpiste.inspection.steering_scale import check_scale, scale_note
@@ -64,22 +64,18 @@ def _without_sign(name: str, fit: SteeringFit, drive: Drive, path: DrivenPath) -
     size = fit_lags(np.abs(path.yaw_rate), path.speed[:, None], asked, LAGS, moving_rows(path))
     if size is None or size.strength < _UNSIGNED:
         return []
-    evidence = f"correlation with speed times {name}: {size.strength:.2f} of the size of the yaw rate, and "
-    evidence += f"{fit.steady.strength:.2f} of the yaw rate"
-    how = "its sign may be in a column of its own, as on CAN buses of VW (_VZ_, _sign): write both into one column"
-    return [Finding("warning", name, "has no sign", evidence, how, 1.0)]
+    return [found("steering_unsigned", name, {"size": size.strength, "signed": fit.steady.strength})]
 
 
 def _without_effect(name: str, fit: SteeringFit, drive: Drive) -> Finding:
-    steady, dynamic = fit.steady, fit.dynamic
-    evidence = f"correlation of the yaw rate with speed times {name}: {steady.r[steady.best()]:.2f} at best, "
-    evidence += f"{dynamic.r[dynamic.best()]:.2f} with the change of the yaw rate, within 1.5 s"
-    other = "look for another field; no model can do without steering"
     cures = _other_clocks(name, drive)
     if name != "steer":
-        other = f'look for another field, or absent = ["{name}"]'
         cures = (*cures, absent(name, drive.rig))
-    return Finding("warning", name, "does not turn the vehicle", evidence, other, 1.0, cures)
+    return found("steering_without_effect", name, _correlations(fit), *cures, remedy=name, fixed=name)
+
+
+def _correlations(fit: SteeringFit) -> dict[str, float]:
+    return {"steady": fit.steady.r[fit.steady.best()], "dynamic": fit.dynamic.r[fit.dynamic.best()]}
 
 
 def _other_clocks(name: str, drive: Drive) -> tuple[Cure, ...]:
@@ -103,11 +99,8 @@ def _other_clocks(name: str, drive: Drive) -> tuple[Cure, ...]:
 def _sign(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
     if fit.sign >= 0:
         return []
-    steady, dynamic = fit.steady, fit.dynamic
-    evidence = f"correlation of the yaw rate (+ left) with speed times {name}: {steady.r[steady.best()]:+.2f}, "
-    evidence += f"of its change {dynamic.r[dynamic.best()]:+.2f}"
     edit = Edit(f"channels.{name}.sign", -rig.channels[name].sign)
-    return [fixable("warning", name, "is positive to the right", evidence, (edit,))]
+    return [found("steering_sign", name, _correlations(fit), (edit,))]
 
 
 def _centre(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
@@ -118,5 +111,4 @@ def _centre(name: str, fit: SteeringFit, rig: Rig) -> list[Finding]:
         return []
     per_unit = source.sign * unit_factor(name, source.unit, rig.vehicle.max_steer)
     edit = Edit(f"channels.{name}.offset", rounded(source.offset - fit.centre / per_unit))
-    evidence = f"the vehicle goes straight at {fit.centre:.3f} ± {fit.centre_sigma:.3f}"
-    return [fixable("warning", name, "is not zero straight ahead", evidence, (edit,), score=0.5)]
+    return [found("steering_centre", name, {"centre": fit.centre, "sigma": fit.centre_sigma}, (edit,))]

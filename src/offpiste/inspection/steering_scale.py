@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.inspection.driven_path import DrivenPath
-from offpiste.inspection.findings import Cure, Finding
+from offpiste.inspection.findings import Cure, Finding, found
 from offpiste.inspection.lags import LAGS, fit_lags, lagged, sampled
 from offpiste.inspection.response import Gain, SteeringFit, averaged, curvature_per_unit, reverse_gain
 from offpiste.logs.drive import Drive
@@ -71,13 +71,14 @@ def check_scale(fits: Mapping[str, SteeringFit], drive: Drive, path: DrivenPath)
         return []
     factor, alone = float(np.exp(log)), len(ratios) == 1  # then it may be the geometry as well
     fixes = _fixes(fault, factor, drive, alone=alone)
-    what = "does not fit the command" if fault == "steer_angle" else "does not fit the wheels' angle"
+    code = "angle_scale" if fault == "steer_angle" else "command_scale"
     if alone or fault == "geometry":
-        what = f"turns the vehicle {'more' if factor > 1 else 'less'} than the rig says"
-    evidence = "; ".join(ratio.evidence for ratio in ratios)
-    remedy = "; or ".join(f"{words}{', '.join(map(str, cure))}" for words, cure in fixes)
-    where = "steer" if fault == "geometry" else fault
-    return [Finding("warning", where, what, evidence, remedy, 0.6, tuple(cure for _, cure in fixes))]
+        code = "turns_more" if factor > 1 else "turns_less"
+    about = {
+        "gains": "; ".join(ratio.evidence for ratio in ratios),
+        "fixes": "; or ".join(f"{words}{', '.join(map(str, cure))}" for words, cure in fixes),
+    }
+    return [found(code, "steer" if fault == "geometry" else fault, about, *(cure for _, cure in fixes))]
 
 
 def _turning(name: str, fit: SteeringFit, rig: Rig) -> Ratio | None:
@@ -179,19 +180,18 @@ def _is_shaped(wheelbase: float, rig: Rig) -> bool:
 
 def scale_note(name: str, fit: SteeringFit, rig: Rig) -> Finding:
     """Return a note on the steering scale if the wheelbase is a guess."""
-    curvature = fit.curvature.value
-    share = curvature / curvature_per_unit(name, rig)
-    evidence = f"yaw rate / speed = {curvature:.3g} 1/m times {name}"
-    evidence += f": a radius of {1 / curvature:.1f} m at steer = 1" if name == "steer" else ", in rad"
+    curvature, wheelbase = fit.curvature.value, rig.vehicle.wheelbase
+    about = {
+        "curvature": curvature,
+        "radius": 1 / curvature,
+        "share": curvature / curvature_per_unit(name, rig),
+        "number": number(curvature),
+        "angle": np.arctan(curvature * wheelbase),
+        "wheelbase": wheelbase,
+    }
     if rig.channels[name].turns:
-        evidence = f"the vehicle turns {share:.2f} times as fast as commanded"
-        remedy = "no action needed: models learn it, and a wrong unit would be off by far more"
-    elif name == "steer_angle" or rig.channels[name].unit in ANGLES:
-        remedy = f"no action needed if it is the road wheel angle: the ratio to the rig's geometry is {share:.2f}, "
-        remedy += "typically 0.8 to 1 because of slip"
-    else:
-        wheelbase = rig.vehicle.wheelbase
-        remedy = "set vehicle.max_steer to the road wheel angle at steer = 1, if you know it; this log suggests "
-        remedy += f"atan({number(curvature)} * wheelbase), {np.arctan(curvature * wheelbase):.3f} rad at "
-        remedy += f"{wheelbase:.3g} m, or more because of slip"
-    return Finding("note", name, "estimated scale", evidence, remedy, 0.4)
+        return found("turn_scale_estimate", name, about)
+    if name == "steer_angle":
+        return found("angle_scale_estimate", name, about)
+    in_radians = rig.channels[name].unit in ANGLES
+    return found("scale_estimate", name, about, remedy="in_radians" if in_radians else "remedy")

@@ -9,7 +9,7 @@ from msgspec import structs
 
 from offpiste.core.geometry import planar_body_from_world, yaw_rate_from_body_rates
 from offpiste.inspection.driven_path import DELAYS, TURNING, DrivenPath, FrameFit, fit_delayed, levelled, on_path
-from offpiste.inspection.findings import Finding, fixable
+from offpiste.inspection.findings import Finding, found
 from offpiste.inspection.lags import SURE, fit_lags
 from offpiste.inspection.response import moving_rows
 from offpiste.logs.channel import Channel, to_z_up, turning_sign
@@ -69,34 +69,28 @@ def check_linear_velocity(drive: Drive, path: DrivenPath) -> list[Finding]:
     """Check frame, unit, sign and delay of the recorded velocity."""
     name, source = "linear_velocity", drive.rig.channels["linear_velocity"]
     if path.driving >= 3 and not drive.channels[name].values[:, :2].any():
-        return [_zero(name)]
+        return [found("zero", name, {}, (Edit(f"channels.{name}", None),))]
     fits = fit_frames(drive, path)
     if not fits:
         return []
     best = min(fits.values(), key=lambda fit: fit.misfit)
     stated = fits.get(source.frame)
-    evidence = ", ".join(f"{fit.misfit:.2f} as {fit.frame}" for fit in fits.values())
-    evidence = f"RMS difference to the pose's derivative over RMS speed: {evidence}"
+    about = {"misfits": ", ".join(f"{fit.misfit:.2f} as {fit.frame}" for fit in fits.values()), "frame": best.frame}
     if best.misfit > 2 * _FITS:
         if source.frame == "unknown":
             return []
         if _fits_north_east(drive, path):
             cure = Edit(f"channels.{name}.fields", [source.fields[1], source.fields[0]])
             edits = (cure,) if source.frame == "world" else (cure, Edit(f"channels.{name}.frame", "world"))
-            what = "is north, east, down, and is read as east, north, up"
-            return [fixable("warning", name, what, evidence, edits)]
-        unused = Edit(f"channels.{name}.frame", "unknown")
-        return [fixable("warning", name, "fits the pose in neither frame", evidence, (unused,))]
+            return [found("velocity_axes", name, about, edits)]
+        return [found("velocity_misfit", name, about, (Edit(f"channels.{name}.frame", "unknown"),))]
     findings = []
     mirrored = _sideways(drive, path) if best.frame == "body" else []
     if stated is None and not mirrored:
-        frame = Edit(f"channels.{name}.frame", best.frame)
-        what = f"its frame is {best.frame}, and could be used"
-        findings.append(Finding("note", name, what, evidence, str(frame), 0.3))
+        findings.append(found("velocity_unused", name, about))
     elif stated is not None and stated.frame != best.frame and stated.misfit > max(_FITS, 2 * best.misfit):
-        frame = Edit(f"channels.{name}.frame", best.frame)
-        what = f"is in the {best.frame} frame, not the {stated.frame}'s"
-        findings.append(fixable("warning", name, what, evidence, (frame,)))
+        about["stated"] = stated.frame
+        findings.append(found("velocity_frame", name, about, (Edit(f"channels.{name}.frame", best.frame),)))
     if stated is None:
         return findings  # an unused velocity is harmless
     fit = best if findings else stated
@@ -118,11 +112,10 @@ def _sideways(drive: Drive, path: DrivenPath) -> list[Finding]:
     fit = fit_lags(aside, np.ones((len(aside), 1)), recorded[None, :, 1], np.zeros(1), moving_rows(path))
     if fit is None or fit.r[0] > -max(_SIDEWAYS, SURE * fit.r_sigma(0)):
         return []
-    evidence = f"correlation with the pose's motion to the left: {fit.r[0]:.2f} ± {fit.r_sigma(0):.2f}"
     axes = Edit("motion.axes", _OTHER_BODY[drive.rig.motion.axes])
-    cures = ((axes,), (Edit("channels.linear_velocity.frame", "unknown"),))
-    remedy = "; or ".join(str(edit) for (edit,) in cures)
-    return [Finding("warning", "linear_velocity", "is positive to the right", evidence, remedy, 0.5, cures)]
+    unused = Edit("channels.linear_velocity.frame", "unknown")
+    about = {"r": fit.r[0], "sigma": fit.r_sigma(0)}
+    return [found("velocity_sideways", "linear_velocity", about, (axes,), (unused,))]
 
 
 def turn_rate_name(drive: Drive) -> str:
@@ -172,15 +165,12 @@ def check_turn_rate(drive: Drive, path: DrivenPath) -> list[Finding]:
     if name not in drive.channels or np.nanstd(path.yaw_rate) < TURNING:
         return []
     if not drive.channels[name].values[:, -1].any():
-        return [_zero(name)]
+        return [found("zero", name, {}, (Edit(f"channels.{name}", None),))]
     source, fit = drive.rig.channels[name], fit_turn_rate(drive, path)
     if fit is None:
         return []
     if fit.misfit > _FOLLOWS:
-        evidence = f"RMS difference to d(yaw)/dt over its RMS: {fit.misfit:.2f} at the best gain and delay"
-        removed = Edit(f"channels.{name}", None)
-        how = f"{removed}; the pose is differentiated instead"
-        return [Finding("warning", name, "does not follow the pose's yaw rate", evidence, how, 1.0, ((removed,),))]
+        return [found("rate_misfit", name, {"misfit": fit.misfit}, (Edit(f"channels.{name}", None),))]
     wrong = _gain(name, fit, drive.rig, "rad/s", _RATE_UNITS) + _delay(name, fit, source)
     return wrong or (_bias(on_path(path, drive.channels[name])[:, 0], path, drive.rig) if name == "yaw_rate" else [])
 
@@ -194,8 +184,7 @@ def _bias(recorded: Float[np.ndarray, " n"], path: DrivenPath, rig: Rig) -> list
     name, source, bias = "yaw_rate", rig.channels["yaw_rate"], float(fit.gain[0])
     per_unit = turning_sign(name, rig.motion.axes) * source.sign * unit_factor(name, source.unit)
     edit = Edit(f"channels.{name}.offset", rounded(source.offset - bias / per_unit))
-    evidence = f"it is {bias:.3f} ± {fit.gain_sigma(0):.1g} rad/s where the vehicle does not turn"
-    return [fixable("warning", name, "is not zero without turning", evidence, (edit,), score=0.4)]
+    return [found("rate_bias", name, {"bias": bias, "sigma": fit.gain_sigma(0)}, (edit,))]
 
 
 def _turn_rate(drive: Drive) -> Channel:
@@ -210,21 +199,14 @@ def _turn_rate(drive: Drive) -> Channel:
     return Channel(name, rate.unit, rate.time, values[:, None])
 
 
-def _zero(name: str) -> Finding:
-    removed = Edit(f"channels.{name}", None)
-    how = f"{removed}; the pose is differentiated instead"
-    return Finding("warning", name, "is zero while the vehicle moves", "0 in all samples", how, 1.0, ((removed,),))
-
-
 def _gain(
     name: str, fit: FrameFit, rig: Rig, unit: str, units: dict[str, float], same: tuple[float, float] = _SAME
 ) -> list[Finding]:
     source = rig.channels[name]
-    findings = []
-    evidence = f"it is {fit.gain:.3g} ± {fit.gain_sigma:.1g} times the pose's derivative"
+    findings, about = [], {"gain": fit.gain, "sigma": fit.gain_sigma, "unit": unit}
     if fit.gain < -SURE * fit.gain_sigma:
         sign = Edit(f"channels.{name}.sign", -source.sign)
-        findings.append(fixable("warning", name, "has the wrong sign", evidence, (sign,)))
+        findings.append(found("sensor_sign", name, about, (sign,)))
     size = abs(fit.gain)
     power = float(10.0 ** np.round(np.log10(size))) if size else 1.0
     size = power if abs(size / power - 1) < _COUNTED else size
@@ -240,7 +222,7 @@ def _gain(
     cures += [place for place in places if place not in cures]
     if unit == "m/s" and rig.channels["position"].unit != GEOGRAPHIC:
         cures.append((Edit("channels.position.scale", rounded(rig.channels["position"].scale * size)),))
-    return [*findings, fixable("warning", name, f"is not in {unit}", evidence, *cures, score=0.9)]
+    return [*findings, found("sensor_unit", name, about, *cures)]
 
 
 def _other_unit_of_places(size: float, rig: Rig) -> Iterator[tuple[Edit, ...]]:
@@ -254,7 +236,6 @@ def _other_unit_of_places(size: float, rig: Rig) -> Iterator[tuple[Edit, ...]]:
 def _delay(name: str, fit: FrameFit, source: ChannelSource) -> list[Finding]:
     if abs(fit.delay) < _LATE + SURE * fit.delay_sigma or abs(fit.delay) >= DELAYS[-1]:
         return []
-    what, when = ("is late", "later") if fit.delay > 0 else ("is early", "earlier")
-    evidence = f"it fits the pose's derivative best when taken {abs(fit.delay):.2f} ± {fit.delay_sigma:.2f} s {when}"
     edit = Edit(f"channels.{name}.delay", round(source.delay + fit.delay, 2))
-    return [fixable("warning", name, what, evidence, (edit,), score=0.7)]
+    code = "sensor_late" if fit.delay > 0 else "sensor_early"
+    return [found(code, name, {"delay": abs(fit.delay), "sigma": fit.delay_sigma}, (edit,))]
