@@ -11,7 +11,7 @@ from offpiste.core.registry import EXTENSIONS, Registry, load_extensions
 def test_unknown_and_taken_names_are_errors():
     registry: Registry[int] = Registry("backbone", error=PerceptionError)
     registry.register("one")(1)
-    with pytest.raises(PerceptionError, match=r"no backbone 'two'; there are: one"):
+    with pytest.raises(PerceptionError, match=r"no backbone 'two'; available: one"):
         registry["two"]
     with pytest.raises(PerceptionError, match="two backbones called 'one'"):
         registry.register("one")(2)

@@ -45,9 +45,9 @@ def test_all_are_undamaged_and_small():
 @pytest.mark.parametrize(
     ("load", "name", "said"),
     [
-        (offpiste.load, "proving-ground/none", "did you mean 'proving-ground/b'. there are: .*proving-ground/dc"),
-        (offpiste.load, "../training", "there are: .*proving-ground/dc"),
-        (load_pca, "proving-ground/dc", "did you mean 'proving-ground'. there are: proving-ground$"),
+        (offpiste.load, "proving-ground/none", "did you mean 'proving-ground/b'. available: .*proving-ground/dc"),
+        (offpiste.load, "../training", "available: .*proving-ground/dc"),
+        (load_pca, "proving-ground/dc", "did you mean 'proving-ground'. available: proving-ground$"),
     ],
 )
 def test_an_unknown_name_lists_those_there_are(load, name, said):

@@ -164,7 +164,7 @@ def test_columns_that_are_not_understood_are_listed(tmp_path: Path) -> None:
     assert "# Not read: columns: q17" in text
     assert "q17" in missing(text)[0]
     path = written(tmp_path / "other.csv", {"t": ("t", 1), "rechtswert": ("x", 1), "hochwert": ("y", 1)})
-    with pytest.raises(LogError, match="it has: columns t, rechtswert, hochwert"):
+    with pytest.raises(LogError, match="available: columns t, rechtswert, hochwert"):
         draft_rig(open_log(path))
 
 

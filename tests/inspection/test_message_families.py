@@ -90,7 +90,9 @@ def test_limits_and_switches_do_not_hide_what_a_topic_commands(asked: str, other
 def test_half_of_a_pose_is_named() -> None:
     """A simulator's log may have the direction ahead as a vector."""
     columns = dict.fromkeys(("pos_x", "pos_y", "dir_x", "dir_y", "throttle"), ODOM["x"])
-    with pytest.raises(LogError, match="pos_x, pos_y may be a position, and no name is that of a heading; it has: col"):
+    with pytest.raises(
+        LogError, match="pos_x, pos_y may be a position, and no name is that of a heading; available: col"
+    ):
         draft_rig(MemoryLog({"": (TIME, columns)}))
     with pytest.raises(LogError, match=r"/imu \(yaw\) may be a heading, and no name is that of a position"):
         draft_rig(log_of({"/imu": {"yaw": "azimuth in rad", "temperature": "1"}} | COMMANDS))

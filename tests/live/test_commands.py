@@ -131,5 +131,5 @@ def test_a_viewer_that_cannot_show_anything_is_refused(tmp_path, capsys):
     assert "would show nothing; give --view, too" in line(tmp_path, capsys, "--view-at", "drive.rrd")
     (there := tmp_path / "there.rrd").write_bytes(b"")
     assert "already exists" in line(tmp_path, capsys, "--view", "rerun", "--view-at", there)
-    with pytest.raises(LiveError, match="is no host and port"):
+    with pytest.raises(LiveError, match="not a host and port"):
         listening_at("8765")

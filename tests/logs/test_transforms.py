@@ -74,7 +74,7 @@ def test_messages_list_a_handful_of_many_pairs(tmp_path: Path) -> None:
     assert len(log.topics) == 1 + 30 + 3
     assert listed(log.topics) == ["/tf", BODY, *(f"/tf leg_{k} -> foot_{k}" for k in range(5))]
     assert log.read("/tf leg_29 -> foot_29", ["transform.translation.y"]).values.tolist() == [[29.0]]
-    with pytest.raises(LogError, match=f"it has: /tf, .*{BODY}$"):
+    with pytest.raises(LogError, match=f"available: /tf, .*{BODY}$"):
         log.read("/odom", ["x"])
 
 

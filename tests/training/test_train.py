@@ -147,7 +147,7 @@ def test_impossible_predictions_and_settings_are_refused_in_one_line(
     other = replace(dataset, rig=msgspec.structs.replace(dataset.rig, channels=channels))
     with pytest.raises(RunError, match="was trained with control throttle, brake, steer; the dataset has throttle"):
         predict(loaded, Windows(other, "test")[:2])
-    with pytest.raises(RunError, match=r"no model 'bb'; did you mean 'b'\? there are: ctrv"):
+    with pytest.raises(RunError, match=r"no model 'bb'; did you mean 'b'\? available: ctrv"):
         train(dataset, replace(QUICK, model="bb"), tmp_path / "run")
     with pytest.raises(RunError, match="no loss 'square'; did you mean 'squared'"):
         train(dataset, replace(QUICK, loss="square"), tmp_path / "run")

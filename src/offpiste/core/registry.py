@@ -45,7 +45,7 @@ class Registry(Generic[Entry]):
     def __getitem__(self, name: str) -> Entry:
         """Return the entry of a name."""
         if name not in self:
-            how = f"{did_you_mean(name, self._entries)}there are: {', '.join(self._entries)}"
+            how = f"{did_you_mean(name, self._entries)}available: {', '.join(self._entries)}"
             raise self._error(f"no {self.kind} '{name}'", how=how)
         return self._entries[name]
 

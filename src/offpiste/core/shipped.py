@@ -56,6 +56,6 @@ def _shipped(path: str | Path, kind: str, names: Sequence[str]) -> str | None:
         return None
     name = str(path).removeprefix(PREFIX)
     if name not in names:
-        how = f"{did_you_mean(name, names)}there are: {', '.join(names)}"
+        how = f"{did_you_mean(name, names)}available: {', '.join(names)}"
         raise RunError(f"no pretrained {kind} '{name}'", where=str(path), how=how)
     return name

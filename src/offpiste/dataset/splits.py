@@ -142,7 +142,7 @@ def empty_parts(split: Split) -> tuple[str, ...]:
 def part_number(part: str) -> int:
     """Return the label of a part; raise `DatasetError` if there is no such part."""
     if part not in PARTS:
-        raise DatasetError(f"no part '{part}'", how=f"{did_you_mean(part, PARTS)}there are: {', '.join(PARTS)}")
+        raise DatasetError(f"no part '{part}'", how=f"{did_you_mean(part, PARTS)}available: {', '.join(PARTS)}")
     return PARTS.index(part)
 
 

@@ -262,7 +262,7 @@ def _picture(file: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]:
     width, height = size
     picture = decoded_picture(np.fromfile(file, np.uint8))
     if picture is None or picture.shape[:2] != (height, width):
-        found = "is no image" if picture is None else f"is an image of {picture.shape[1]} x {picture.shape[0]}"
+        found = "not an image" if picture is None else f"is an image of {picture.shape[1]} x {picture.shape[0]}"
         how = f"give rectified images of {width} x {height}, or their size: --size WIDTHxHEIGHT"
         raise OffpisteError(found, where=file, how=how)
     return np.asarray(picture)

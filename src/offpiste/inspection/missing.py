@@ -161,7 +161,7 @@ def no_pose(log: Log) -> LogError:
     return LogError(
         "no topic looks like a pose (position and heading)",
         where=log.path,
-        how=f"{how}; {_half_of_a_pose(log)}it has: {_contents(log)}",
+        how=f"{how}; {_half_of_a_pose(log)}available: {_contents(log)}",
     )
 
 

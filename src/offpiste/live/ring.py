@@ -65,7 +65,7 @@ class Ring:
         magic, self._slots, self._size = _HEAD.unpack_from(self._map) if len(self._map) >= _HEAD.size else (b"", 0, 0)
         if magic != _MAGIC or len(self._map) != _bytes(self._slots, self._size):
             self._map.close()
-            raise LiveError("is no shared memory of offpiste", where=path, how="remove it")
+            raise LiveError("not shared memory of offpiste", where=path, how="remove it")
         self._view = memoryview(self._map)
         self._words, self._times = self._view.cast("Q"), self._view.cast("d")
 

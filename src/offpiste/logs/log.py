@@ -67,7 +67,7 @@ class Topic:
         if missing := [pair for pair in wanted if pair not in own]:
             known = ", ".join(dict.fromkeys(joint for array, joint in reversed(own) if array == missing[0][0]))
             what = f"topic '{self.name}' has no joint '{missing[0][1]}' in {missing[0][0]}"
-            raise LogError(what, how=f"fix joints in the rig; it has: {known or 'none'}")
+            raise LogError(what, how=f"fix joints in the rig; available: {known or 'none'}")
         return tuple(own[pair] for pair in wanted)
 
 
@@ -169,7 +169,7 @@ class Log(ABC):
         if missing := [f for f in fields if f not in result.fields]:
             what = f"{topic_in_words(topic)} ({result.type}) has no field '{missing[0]}'"
             what = result.unread.get(missing[0], what)
-            how = f"it has: {', '.join(result.fields[:40]) or 'no numeric field'}"
+            how = f"available: {', '.join(result.fields[:40]) or 'no numeric field'}"
             raise LogError(what, where=self.path, how=how)
         return self._read(result, fields, stamps)
 
@@ -214,7 +214,7 @@ class Log(ABC):
         result = self.topics.get(topic)
         if result is None:
             known = ", ".join(listed(sorted(self.topics))) or "none"
-            how = f"{did_you_mean(topic, self.topics)}it has: {known}"
+            how = f"{did_you_mean(topic, self.topics)}available: {known}"
             raise LogError(f"no topic '{topic}'", where=self.path, how=how)
         return result
 

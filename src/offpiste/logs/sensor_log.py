@@ -240,7 +240,7 @@ def open_sensors(log: Log, rig: Rig, *, poses: Poses | None = None, rough: bool 
         elif entry.optional:
             absent.append(name)
         else:
-            how = f"it has: {', '.join(listed(sorted(log.topics))) or 'none'}; or set optional = true"
+            how = f"available: {', '.join(listed(sorted(log.topics))) or 'none'}; or set optional = true"
             raise LogError(f"'{name}': no messages on topic '{entry.topic}'", where=log.path, how=how)
     if not present:
         what = f"none of the cameras and LiDARs of rig '{rig.name}' is in it"

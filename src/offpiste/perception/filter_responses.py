@@ -78,7 +78,7 @@ def mean_magnitudes(
     """
     (lines, weights), (_, taps) = filters, filters.lines.shape
     if (len(lines), weights.shape[1]) != (4, len(PRODUCTS)) or not taps % 2 or taps > _MOST_TAPS or step not in (1, 2):
-        raise ValueError(f"lines {lines.shape}, weights {weights.shape}, at every {step} pixels")
+        raise ValueError(f"unsupported filters: lines {lines.shape}, weights {weights.shape}, step {step} px")
     rows, columns = (length // (step * patch) for length in image.shape)
     number = -(-columns * patch // _LANES) * _LANES
     reach = taps // 2

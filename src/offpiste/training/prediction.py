@@ -53,7 +53,7 @@ def _on_recorded(dynamics: Dynamics, batch: Batch) -> Trajectory:
 def predict_windows(dynamics: Dynamics, windows: Windows, lookup: Lookup = "recorded") -> Trajectory:
     """Predict states and actuators of windows (`offpiste.predict`); positions are relative to each window's start."""
     if lookup not in get_args(Lookup):
-        how = f"{did_you_mean(lookup, get_args(Lookup))}there are: {', '.join(get_args(Lookup))}"
+        how = f"{did_you_mean(lookup, get_args(Lookup))}available: {', '.join(get_args(Lookup))}"
         raise OffpisteError(f"no lookup '{lookup}'", how=how)
     if not len(windows):
         raise DatasetError("no window to predict", how="give at least one")

@@ -90,4 +90,4 @@ class MessageTypes:
         except Exception as error:  # rosbags parses and compiles it
             reason = " ".join(str(error).split())[:100]
             how = "list the definitions that it contains before it"
-            raise TransportError(f"is no message definition: {reason}", where=file, how=how) from error
+            raise TransportError(f"not a message definition: {reason}", where=file, how=how) from error

@@ -73,9 +73,9 @@ def test_nearly_empty_bag(data_folder: Path) -> None:
 
 def test_missing_topic_and_field_name_what_there_is(tmp_path: Path) -> None:
     log = BagLog(mcap_file(tmp_path / "a.mcap", twists(2)))
-    with pytest.raises(LogError, match=r"a\.mcap: no topic '/imu'; it has: /odom"):
+    with pytest.raises(LogError, match=r"a\.mcap: no topic '/imu'; available: /odom"):
         log.read("/imu", ["x"])
-    message = r"topic '/odom' \(geometry_msgs/msg/TwistStamped\) has no field 'speed'; it has: twist\.linear\.x, "
+    message = r"topic '/odom' \(geometry_msgs/msg/TwistStamped\) has no field 'speed'; available: twist\.linear\.x, "
     with pytest.raises(LogError, match=message):
         log.read("/odom", ["speed"])
 

@@ -116,7 +116,7 @@ def test_a_clock_without_a_name_rises_evenly_and_a_count_of_rows_is_none(tmp_pat
 )
 def test_clock_column_and_unit(tmp_path: Path, text: str, column: str, unit: str, stamps: list, listed: str) -> None:
     assert table(tmp_path, text, column=column, unit=unit).read("", ["x"]).time.tolist() == stamps
-    with pytest.raises(LogError, match=f"no column '#stamp' for the clock; it has: {listed}"):
+    with pytest.raises(LogError, match=f"no column '#stamp' for the clock; available: {listed}"):
         table(tmp_path, text, column="#stamp")
 
 
@@ -166,7 +166,7 @@ def test_cells(tmp_path: Path) -> None:
     assert log.topics[""].fields == ("t", "x", "armed")
     np.testing.assert_array_equal(column(log, "x"), [1.0, np.nan, np.nan, np.inf, -np.inf, 70.0])
     np.testing.assert_array_equal(column(log, "armed"), [1.0, 0.0, np.nan, 1.0, 1.0, 1.0])
-    with pytest.raises(LogError, match="column 'name' holds text, such as 'a', and no numbers; it has: t, x, armed"):
+    with pytest.raises(LogError, match="column 'name' holds text, such as 'a', and no numbers; available: t, x, armed"):
         log.read("", ["name"])
 
 

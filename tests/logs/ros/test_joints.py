@@ -113,7 +113,7 @@ def test_a_rig_that_names_joints_reads_them_wherever_another_log_has_them(log: P
     assert (read_channel(other, rig, "steer", rig.channels["steer"])[0].values == 0.5).all()
     assert (read_channel(other, rig, "throttle", rig.channels["throttle"])[0].values == 0.2).all()
     wrong = msgspec.structs.replace(rig.channels["steer"], joints=("wheel",))
-    message = r"'command' has no joint 'wheel' in position; fix joints in the rig; it has: steer, brake, throttle"
+    message = r"'command' has no joint 'wheel' in position; fix joints in the rig; available: steer, brake, throttle"
     with pytest.raises(LogError, match=message):
         read_channel(other, rig, "steer", wrong)
 

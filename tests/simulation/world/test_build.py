@@ -79,7 +79,7 @@ def test_plants_stand_on_the_ground_and_trees_clear_of_trails(world):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"preset": "moon"}, r"no world 'moon'; there are: .*mojave"),
+        ({"preset": "moon"}, r"no world 'moon'; available: .*mojave"),
         ({"preset": "moon.json"}, r"no world 'moon.json', and no TOML file; give a TOML file, or one of: .*mojave"),
         ({"size": 0.0}, "invalid size = 0.0; choose 60 to 2000 m"),
         ({"size": float("nan")}, "invalid size = nan"),

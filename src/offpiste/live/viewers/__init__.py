@@ -91,7 +91,7 @@ def listening_at(place: str) -> tuple[str, int]:
     """Return the free host and port of a place; port 0 selects a free one. Raises `LiveError`."""
     host, _, port = place.rpartition(":")
     if not host or not port.isdigit() or int(port) > 65535:
-        raise LiveError("is no host and port", where=f"--view-at {place}", how="give e.g. 127.0.0.1:8765")
+        raise LiveError("not a host and port", where=f"--view-at {place}", how="give e.g. 127.0.0.1:8765")
     try:
         with socket.create_server((host, int(port))) as probe:
             return host, int(probe.getsockname()[1])

@@ -78,10 +78,10 @@ class TableLog(Log):
         column = given.column if given.column in names else without_comment(given.column)  # as a rig may name it
         self._clock, listed = column or self._guess_clock(notes), ", ".join(names[:40])
         if not self._clock:
-            how = f"name it: `inspect --time COLUMN`, or clock.column in a rig; there are {listed}"
+            how = f"name it: `inspect --time COLUMN`, or clock.column in a rig; available: {listed}"
             raise NoClock("no column looks like time", where=path, how=how)
         if self._clock not in names:
-            raise NoClock(f"no column '{given.column}' for the clock", where=path, how=f"it has: {listed}")
+            raise NoClock(f"no column '{given.column}' for the clock", where=path, how=f"available: {listed}")
         is_guessed, self._unit = not self._unit, self._unit_of_stamps(self._clock) or self._unit_by_rate()
         if is_guessed and self.clock.unit != "s":
             notes.append(f"'{self._clock}' is read in {self.clock.unit}; clock.unit in the rig can say otherwise")

@@ -184,7 +184,7 @@ def _quantity(name: str, reader: Function, given: Iterable[str]) -> Function:
         there = ", ".join(sorted({*given, *QUANTITIES} - {*ELEMENTARY}))
         raise PlanningError(
             f"'{reader.__name__}' reads '{name}', which nothing provides",
-            how=f"declare it as a quantity, a cost layer or a parameter; there are: {there}",
+            how=f"declare it as a quantity, a cost layer or a parameter; available: {there}",
         )
     return QUANTITIES[name]
 

@@ -30,7 +30,7 @@ class CostWeights:
         for name, value in changed.items():
             if name not in declared:
                 there = ", ".join(f"{known} [{number.unit}]" for known, number in declared.items())
-                raise PlanningError(f"no cost weight '{name}'", how=f"there are: {there}")
+                raise PlanningError(f"no cost weight '{name}'", how=f"available: {there}")
             if _size(value) != _size(declared[name].default):
                 raise PlanningError(
                     f"invalid cost weight {name} = {value}", how=f"give one like {declared[name].default}"
@@ -43,7 +43,7 @@ class CostWeights:
             raise AttributeError(name)
         values = self.values()
         if name not in values:
-            raise AttributeError(f"no cost weight '{name}'; there are: {', '.join(values)}")
+            raise AttributeError(f"no cost weight '{name}'; available: {', '.join(values)}")
         return values[name]
 
     def __eq__(self, other: object) -> bool:

@@ -107,7 +107,9 @@ def _sizes(origins: Points, directions: Points, *of_rays: np.ndarray) -> tuple[i
     count = len(directions)
     shapes = {array.shape[1:] for array in (origins, directions)}
     if shapes != {(3,)} or len(origins) not in (1, count) or any(len(array) != count for array in of_rays):
-        raise ValueError(f"{count} rays need as many origins or one, and as many results")
+        raise ValueError(
+            f"expected 1 or {count} origins and {count} results for {count} rays, not {len(origins)} origins"
+        )
     return len(origins), count
 
 
