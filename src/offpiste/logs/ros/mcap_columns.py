@@ -6,7 +6,7 @@ the stamps are read. Everything else is left to the reference reader, `BagLog._m
 """
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -22,6 +22,7 @@ from rosbags.typesys.store import Typestore
 
 from offpiste.core.errors import LogError
 from offpiste.logs.ros.bag_files import NUMBERS, field_getter, reported, typestore_of
+from offpiste.logs.ros.bounds import fields_in
 
 _HEAD: Final = 31
 """Size of a message record's head: opcode, length, channel, sequence, two times [bytes]."""
@@ -50,13 +51,11 @@ class _Layout:
 
     def add_message(self, msgtype: str, prefix: str | None) -> None:
         """Walk along a message; a `prefix` of None keeps no field."""
-        entries: Sequence[tuple[str, Any]] = self.store.get_msgdef(msgtype).fields
-        for name, (kind, detail) in entries:
+        for name, kind, inner, element, size in fields_in(self.store.fielddefs, msgtype):
             path = None if prefix is None else prefix + name
             if kind in (Nodetype.BASE, Nodetype.NAME):
-                self._add(kind, detail, path)
+                self._add(inner, element, path)
                 continue
-            (inner, element), size = detail
             count, begin = size if kind == Nodetype.ARRAY else self._length(), self.at
             if count > _LONGEST:
                 raise ValueError("too long")
