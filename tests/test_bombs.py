@@ -5,6 +5,7 @@ import re
 import sqlite3
 import struct
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
 import lz4.frame
@@ -12,6 +13,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from mcap.data_stream import RecordBuilder
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, ChunkIndex, Footer, Header, McapRecord, Message, Schema
 from rosbags import rosbag1
 from rosbags.rosbag1 import reader as rosbag1_reader
 from rosbags.rosbag2 import reader as rosbag2_reader
@@ -49,38 +53,35 @@ def lz4_frame(megabytes: int) -> bytes:
         return one.begin() + b"".join(one.compress(MEGABYTE) for _ in range(megabytes)) + one.flush()
 
 
-def record(opcode: int, body: bytes) -> bytes:
-    return struct.pack("<BQ", opcode, len(body)) + body
+def serialised(*records: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return builder.end()
 
 
-def text(value: str | bytes) -> bytes:
-    raw = value.encode() if isinstance(value, str) else value
-    return struct.pack("<I", len(raw)) + raw
+def channel(definition: str = "float64 x", encoding: str = "ros2msg", qos: str = "") -> tuple[Schema, Channel]:
+    """A schema and its channel."""
+    metadata = {"offered_qos_profiles": qos} if qos else {}
+    return Schema(1, definition.encode(), encoding, "p/msg/T"), Channel(1, "/t", "cdr", metadata, 1)
 
 
-def channel(definition: str = "float64 x", encoding: str = "ros2msg", qos: str = "") -> bytes:
-    """Records of a schema and of its channel."""
-    metadata = text("offered_qos_profiles") + text(qos) if qos else b""
-    return record(3, struct.pack("<H", 1) + text("p/msg/T") + text(encoding) + text(definition)) + record(
-        4, struct.pack("<HH", 1, 1) + text("/t") + text("cdr") + text(metadata)
-    )
+MAGIC, HEADER = b"\x89MCAP0\r\n", Header("ros2", "")
 
 
-def mcap(path: Path, *records: bytes, indexed: bytes = b"") -> Path:
+def mcap(path: Path, *records: McapRecord, summary: tuple[McapRecord, ...] = ()) -> Path:
     """A file with these records, and with others as its summary."""
-    body = b"\x89MCAP0\r\n" + record(1, text("ros2") + text("")) + b"".join(records)
-    summary = len(body) if indexed else 0
-    end = record(2, struct.pack("<QQI", summary, 0, 0)) + b"\x89MCAP0\r\n"
-    path.write_bytes(body + indexed + end)
+    body = MAGIC + serialised(HEADER, *records)
+    path.write_bytes(body + serialised(*summary, Footer(len(body) if summary else 0, 0, 0)) + MAGIC)
     return path
 
 
-def chunk(packed: bytes, compression: str, size: int) -> bytes:
-    return record(6, struct.pack("<QQQI", 1, 2, size, 0) + text(compression) + struct.pack("<Q", len(packed)) + packed)
+def chunk(data: bytes, compression: str, size: int) -> Chunk:
+    return Chunk(compression, data, 2, 1, 0, size)
 
 
-def message(data: bytes, time: int = 1) -> bytes:
-    return record(5, struct.pack("<HIQQ", 1, 0, time, time) + data)
+def message(data: bytes, time: int = 1) -> Message:
+    return Message(1, time, data, time, 0)
 
 
 @pytest.mark.parametrize(
@@ -89,10 +90,9 @@ def message(data: bytes, time: int = 1) -> bytes:
 )
 def test_a_chunk_of_an_mcap(tmp_path: Path, compression: str, indexed: bool, told: bool) -> None:
     size = (8 if compression == "zstd" else GIGABYTES) << 30 if told else 1 << 20
-    whole, start = chunk(PACKERS[compression](), compression, size), 8 + len(record(1, text("ros2") + text("")))
-    index = struct.pack("<QQQQ", 1, 2, start, len(whole)) + text(b"") + struct.pack("<Q", 31) + text(compression)
-    index += struct.pack("<QQ", len(whole) - 9 - 40 - len(compression), size)
-    path = mcap(tmp_path / "a.mcap", whole, message(b""), indexed=channel() + record(8, index) if indexed else b"")
+    whole, start = chunk(PACKERS[compression](), compression, size), len(MAGIC + serialised(HEADER))
+    index = ChunkIndex(len(serialised(whole)), start, compression, len(whole.data), 2, 31, {}, 1, size)
+    path = mcap(tmp_path / "a.mcap", whole, message(b""), summary=(*channel(), index) if indexed else ())
     why = refused(path, tmp_path)
     assert indexed or "takes more than 256 MB" in why, why
 
@@ -198,8 +198,8 @@ SHIFT = "module p { module msg { const long A = 1 << 99999999999; struct T { lon
     ],
     ids=["tree", "array of nothing", "array of texts", "digits", "infinite", "itself", "brackets", "shift", "merges"],
 )
-def test_a_definition(tmp_path: Path, described: bytes) -> None:
-    refused(mcap(tmp_path / "a.mcap", described, *(message(bytes(12), k) for k in range(1, 9))), tmp_path)
+def test_a_definition(tmp_path: Path, described: tuple[Schema, Channel]) -> None:
+    refused(mcap(tmp_path / "a.mcap", *described, *(message(bytes(12), k) for k in range(1, 9))), tmp_path)
 
 
 def test_a_sequence_of_nothing_in_ros_1(tmp_path: Path) -> None:
@@ -214,24 +214,18 @@ def test_a_sequence_of_nothing_in_ros_1(tmp_path: Path) -> None:
 def test_messages_that_become_many_objects(tmp_path: Path) -> None:
     definition = f"E[] x\n{PART}E\nint8 y\n"
     data = struct.pack("<II", 1 << 8, 1 << 27) + bytes(1 << 27)
-    packed = zstd.compress(channel(definition) + message(data))
+    packed = zstd.compress(serialised(*channel(definition), message(data)))
     refused(mcap(tmp_path / "a.mcap", chunk(packed, "zstd", 1 << 27)), tmp_path)
 
 
 def test_an_index_whose_entries_share_a_chunk(tmp_path: Path) -> None:
     write_mcap(driven(), tmp_path / "drive")
     data = (tmp_path / "drive" / "drive.mcap").read_bytes()
-    (summary,) = struct.unpack_from("<Q", data, len(data) - 28)
-    at, before, entries = summary, b"", b""
-    while data[at] not in (2, 14):
-        end = at + 9 + struct.unpack_from("<Q", data, at + 1)[0]
-        if data[at] == 8:
-            entries += data[at:end] * 3000
-        else:
-            before += data[at:end]
-        at = end
-    end = record(2, struct.pack("<QQI", summary, 0, 0)) + b"\x89MCAP0\r\n"
-    (tmp_path / "a.mcap").write_bytes(data[:summary] + before + entries + end)
+    (start,) = struct.unpack_from("<Q", data, len(data) - 28)
+    summary = make_reader(BytesIO(data)).get_summary()
+    described = *summary.schemas.values(), *summary.channels.values(), summary.statistics
+    end = serialised(*described, *(3000 * summary.chunk_indexes), Footer(start, 0, 0))
+    (tmp_path / "a.mcap").write_bytes(data[:start] + end + MAGIC)
     assert inspected(tmp_path / "a.mcap", tmp_path)[0] in ("ok", "refused")
 
 
