@@ -39,7 +39,7 @@ def recorded_text(dynamics: Dynamics) -> str:
 
 
 class _Given(NamedTuple):
-    """What the kernels are given.
+    """Inputs of the kernels.
 
     Attributes:
         params: `packed_parameters`.

@@ -46,7 +46,7 @@ def step_text(dynamics: Dynamics, *, adjoint: bool = False, apart: bool = False,
 
 
 def _arranged(networks: Sequence[ModelNetwork]) -> str:
-    """What puts weights in the order in which lanes read them."""
+    """Return the C code that puts weights in the order in which lanes read them."""
     gates = [f"p->{of.name}.gates" for of in networks]
     body = [f"    offpiste_by_unit({name}[0], sizeof({name}) / sizeof({name}[0]), first, apart);" for name in gates]
     head = "OFFPISTE_FN void offpiste_arrange(offpiste_params* p, int first, int apart) {"
@@ -104,12 +104,12 @@ def _declarations(dynamics: Dynamics, networks: Sequence[ModelNetwork], apart: b
 
 
 def _read(row: int) -> str:
-    """A number that a network sees: of the workspace, or a code."""
+    """Return the C expression of an input of a network: a row of the workspace, or a code."""
     return f"w[{row}]" if row < len(layout.ROWS) else f"given->codes[{row - len(layout.ROWS)}]"
 
 
 def _see(dynamics: Dynamics) -> str:
-    """What networks and physics read, from a state and what is given."""
+    """Return the C code that fills the workspace for networks and physics from a state and the given inputs."""
     vehicle = dynamics.vehicle
     absent = absent_actuators(dynamics.vehicle)
     body = [f"w[{row}] = {'zero' if row in absent else f'state[{row}]'};" for row in range(MOVED)]
@@ -130,7 +130,7 @@ def _see(dynamics: Dynamics) -> str:
 
 
 def inputs_text(of: ModelNetwork) -> str:
-    """Line that gathers what a network sees."""
+    """Return the line of C code that gathers the inputs of a network."""
     return f"const offpiste_real {of.name}_inputs[] = {{{', '.join(map(_read, of.inputs))}}};"
 
 

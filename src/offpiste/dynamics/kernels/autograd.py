@@ -94,7 +94,7 @@ def _recorded(
 
 
 class Given(NamedTuple):
-    """What a rollout is given and has no gradients for.
+    """Inputs of a rollout without gradients.
 
     Attributes:
         fields: those of `Record` by name.

@@ -30,7 +30,7 @@ FORWARD_ROWS: Final = "w: rows of one sample's workspace, c: constants. Rows tha
 ADJOINT_ROWS: Final = "w, c: as in physics.h. w_bar, c_bar: adjoints of rows and of learned constants, added to."
 
 Stores = list[tuple[str, sp.Expr]]
-"""Places that are written, and what is written there."""
+"""Places that are written, with the terms written there."""
 
 
 class Part(NamedTuple):

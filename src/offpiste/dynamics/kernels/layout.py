@@ -1,4 +1,4 @@
-"""Where compiled code keeps what it computes: rows of a sample's workspace, and the vector of constants.
+"""Memory layout of compiled code: rows of a sample's workspace, and the vector of constants.
 
 The adjoint of row r is row r of a second workspace.
 """
@@ -17,10 +17,10 @@ STEPPED: Final = (*STATE, *ACTUATORS)
 """States and actuators, which the physics steps, in order."""
 
 COMMANDS: Final = tuple(control.name for control in KERNEL_CONTROLS)
-"""Controls that kernels know; the columns of a vehicle's are the first of them."""
+"""Controls that kernels know, of which a vehicle has the first ones."""
 
 ABSENT: Final = tuple(control.absent for control in KERNEL_CONTROLS)
-"""What stands for each where a log lacks it."""
+"""Values of `COMMANDS` where a log lacks them."""
 
 CONTROLS: Final = tuple(f"{name}_command" if name in ACTUATORS else name for name in COMMANDS)
 """`COMMANDS`, named apart from the actuators."""
@@ -29,7 +29,7 @@ NORMAL: Final = ("world_normal_x", "world_normal_y", "world_normal_z")
 """Mean of the wheels' surface normals in the world frame."""
 
 BODY_NORMAL: Final = ("normal_x", "normal_y", "normal_z")
-"""The same, turned by minus yaw."""
+"""The mean normal turned by minus yaw."""
 
 UNKNOWN: Final = ("unknown_normals",)
 """Share of the wheels whose surface normal is unknown."""
@@ -38,13 +38,13 @@ FORCE: Final = tuple(f"force_{name}" for name in Force._fields)
 """The parametric force vector F."""
 
 CORRECTION: Final = tuple(f"{name}_correction" for name in Force._fields)
-"""What the compensator adds to the force."""
+"""Correction of the force by the compensator."""
 
 LAGGING: Final = lagging()
 """Actuators that the kernels step, with their delay models."""
 
 RESIDUALS: Final = tuple(f"{one.label}_residual" for one in LAGGING if one.lag.residual)
-"""What the actuators' residual networks add [1/s, rad/s^2]."""
+"""Outputs of the residual networks of actuators [1/s, rad/s^2]."""
 
 NEXT: Final = tuple(f"next_{name}" for name in STEPPED)
 """`STEPPED` one step later."""

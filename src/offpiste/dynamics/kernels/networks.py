@@ -1,4 +1,4 @@
-"""The networks of a model as compiled code has them: what each reads and writes, and its weights in order."""
+"""Networks of a model as compiled code reads them: inputs, outputs, and weights in order."""
 
 from typing import NamedTuple
 
@@ -176,7 +176,7 @@ def constants(learned: Float[Tensor, " K"], lags: Float[Tensor, " L"], vehicle: 
 
 
 def switches(vehicle: Vehicle) -> list[float]:
-    """Return what the channels of a vehicle switch on (`layout.SWITCHES`)."""
+    """Return the switches that the channels of a vehicle set (`layout.SWITCHES`)."""
     values: dict[str, float] = {
         **{f"{name}_measured": actuator in vehicle.actuators for name, actuator in layout.MEASURED.items()},
         **{f"{one.label}_lags": one.steps(vehicle) for one in layout.LAGGING},

@@ -31,13 +31,13 @@ def drive_train(v: Values, f: Elementary) -> DriveTrain:
 
 
 def body_normal(v: Values, f: Elementary) -> tuple[Scalar, Scalar, Scalar]:
-    """`bicycle.body_normal` of the mean normal."""
+    """Return the mean normal in the body frame."""
     x, y, z = (v[name] for name in layout.NORMAL)
     return bicycle.body_normal(x, y, z, v["yaw"], f)
 
 
 def sense(v: Values, f: Elementary) -> Values:
-    """The normal in the body frame and the parametric forces: what the networks see besides what is recorded."""
+    """Return the computed inputs of the networks: the normal in the body frame and the parametric forces."""
     inputs, normal = drive_train(v, f), body_normal(v, f)
     constants = Constants(*(v[name] for name in Constants._fields))
     force = forces(v["vx"], v["vy"], v["yaw_rate"], inputs, normal[2], constants, f)

@@ -45,7 +45,7 @@ class Model(Structure):
 
 
 class Record(Structure):
-    """What a rollout over recorded terrain is given."""
+    """Inputs of a rollout over recorded terrain."""
 
     _fields_ = (
         ("batch", c_int),

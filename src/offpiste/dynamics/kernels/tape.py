@@ -68,7 +68,7 @@ class Tape:
 
 
 def share(definitions: Definitions, results: Mapping[str, sp.Expr]) -> tuple[Definitions, dict[str, sp.Expr]]:
-    """Common subexpressions of all right-hand sides as definitions of their own; what no result needs is left out."""
+    """Define common subexpressions once, and drop definitions that no result needs."""
     symbols = [symbol for symbol, _ in definitions]
     terms = [*(term for _, term in definitions), *results.values()]
     common, reduced = sp.cse(terms, symbols=sp.numbered_symbols("t"))

@@ -65,7 +65,7 @@ class CExpression:
 
 
 def traced(function: Callable[..., Any], given: Mapping[str, Any], arguments: tuple[str, ...]) -> str:
-    """Text of what a function returns for these of the given arguments.
+    """Return the C text of the result of a function, called with some of the given arguments.
 
     Raises:
         PlanningError: it does more than arithmetic.
