@@ -272,8 +272,8 @@ def test_a_stamp_with_a_space_in_it_among_columns_separated_by_spaces(tmp_path: 
         ("t pos x pos y\n0.1 1 2\n0.2 1 2\n",
          "5 names above 3 columns separated by spaces; give each column one name without spaces in it"),
         ("throttle,steer\n1,2\n",
-         "no column looks like time; name it: `inspect --time COLUMN`, or clock.column in a rig; there "
-         "are throttle, steer"),
+         "no column looks like time; name it: `inspect --time COLUMN`, or clock.column in a rig; "
+         "available: throttle, steer"),
         ("", "the file is empty, or begins with an empty line; record or export it again"),
         ("t,x", "no row below the header; record or export it again"),
         ("t,x\n\n\n", "no row below the header; record or export it again"),
