@@ -67,7 +67,7 @@ def test_ghosts_are_counted(drive):
     lidar = Lidar("top", np.eye(4), LidarSource(topic="/points"))
     points, ghosts = with_detours(drive[0].points, drive[0].sensor, 0.003, np.random.default_rng(0))
     scan = Scan(np.array([0.0]), np.zeros(len(points), int), points - drive[0].sensor, 0.0)
-    health = map_health({"top": lidar}, Gathered({"top": [scan]}, {}, 0.0, 1.0, 1.0), poses)
+    health = map_health({"top": lidar}, Gathered({"top": [scan]}, {}), poses)
     near = np.linalg.norm(scan.points[:, :2], axis=1) < 25
     assert health.returns == near.sum() < len(points)
     assert health.ghosts == pytest.approx(ghosts[near].mean(), rel=0.15)

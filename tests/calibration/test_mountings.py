@@ -85,7 +85,7 @@ def test_a_lidar_and_a_camera_without_a_place_from_guesses_far_off():
     camera = replace(camera, camera=replace(camera.camera, body_from_camera=given))
     sensors = create_autospec(SensorLog, instance=True, lidars={"top": lidar}, poses=world.poses(), rig=Mock())
     sensors.rig.vehicle.wheel_positions = WHEELS
-    gathered = Gathered({"top": world.scans()}, {"front": world.images()}, 0.0, world.SECONDS, 0.5)
+    gathered = Gathered({"top": world.scans()}, {"front": world.images()})
     places = {"top": (lidar.body_from_lidar, True), "front": (given, False)}
     top, front = estimated(sensors, {"front": camera}, gathered, places)
     for one, true in ((top, world.BODY_FROM_LIDAR), (front, world.BODY_FROM_CAMERA)):
@@ -185,7 +185,7 @@ def test_what_stands_is_the_vehicle():
             assert (found.box[1] >= high).all()
         assert (found.box[0] <= known[0]).all()
         assert (found.box[1] >= known[1]).all()
-        gathered = Gathered({"top": with_part(scans, low, high)}, {}, 0.0, world.SECONDS, 0.5)
+        gathered = Gathered({"top": with_part(scans, low, high)}, {})
         (finding,) = check_own_body(world.lidar(), gathered, poses, WHEELS)
         assert (finding.where, finding.what) == ("top", "sees the vehicle itself")
         assert finding.cures[0][0].key == "lidars.top.own_body"

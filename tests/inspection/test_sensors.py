@@ -17,12 +17,12 @@ from offpiste.cli import main
 from offpiste.core.errors import LogError
 from offpiste.inspection.draft_sensors import draft_sensors, missing
 from offpiste.inspection.inspect import Inspection, inspect_log
-from offpiste.inspection.sensor_stamps import check_sensor_stamps
 from offpiste.inspection.sensors import (
     CheckedSensor,
     camera_misfits,
     check_mountings,
     check_own_body,
+    check_sensor_stamps,
     check_sensors,
     lidar_misfits,
 )

@@ -16,7 +16,7 @@ from offpiste.logs.sensor_log import SensorLog
 from offpiste.perception.camera import Rectifier, make_rectifier, own_body
 from offpiste.perception.motion_compensation import MOMENT
 
-SECONDS: Final = 60.0
+_SECONDS: Final = 60.0
 """Duration of driving that is read [s]."""
 _PAIRS: Final = 40
 """Desired number of measurement pairs per sensor."""
@@ -94,13 +94,10 @@ class SmallCamera:
 
 @dataclass(frozen=True)
 class Gathered:
-    """Time-ordered scans by LiDAR and images by camera; pairs start every `period` seconds."""
+    """Time-ordered scans by LiDAR and images by camera."""
 
     scans: dict[str, list[Scan]]
     images: dict[str, list[Grey]]
-    start: float
-    end: float
-    period: float
 
 
 def small_camera(camera: Camera) -> SmallCamera:
@@ -122,9 +119,9 @@ def gather(log: SensorLog, cameras: dict[str, SmallCamera]) -> Gathered:
     Raises:
         LogError: the log is damaged, or the messages of a sensor are unusable.
     """
-    start, end = driving(log.poses)
+    start, end = _driving(log.poses)
     period = max((end - start) / _PAIRS, APART)
-    result = Gathered({n: [] for n in log.lidars}, {n: [] for n in cameras}, start, end, period)
+    result = Gathered({name: [] for name in log.lidars}, {name: [] for name in cameras})
     names = [*log.lidars, *cameras]
     chosen = {name: _due(log.stamps(name), start, end, period) for name in names}
     for measured in track(log.picked(chosen), "sensors", total=sum(map(len, chosen.values()))):
@@ -141,11 +138,12 @@ def _due(times: Float[np.ndarray, " n"], start: float, end: float, period: float
     if period >= 2 * APART:
         wanted = (wanted[:, None] + [0.0, APART]).ravel()
     order = np.argsort(times, kind="stable")
+    order = order[(times[order] >= start) & (times[order] <= end)]
     due = np.unique(np.searchsorted(times[order], wanted - 1e-3))
-    return np.array([index for index in order[due[due < len(times)]] if start <= times[index] <= end], np.int64)
+    return np.asarray(order[due[due < len(order)]])
 
 
-def driving(poses: Poses) -> tuple[float, float]:
+def _driving(poses: Poses) -> tuple[float, float]:
     """Return start and end of the first minute of driving [s]."""
     first, last = poses.span
     times = np.arange(first, last, 0.5)
@@ -153,7 +151,7 @@ def driving(poses: Poses) -> tuple[float, float]:
     speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / 0.5
     moving = np.flatnonzero(speed > _MOVING)
     start = float(times[moving[0]]) if len(moving) else first
-    return start, min(start + SECONDS, last)
+    return start, min(start + _SECONDS, last)
 
 
 def pairs(times: list[float]) -> Iterator[tuple[int, int]]:
