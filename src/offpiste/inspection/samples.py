@@ -11,7 +11,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import median_filter
+from scipy.ndimage import find_objects, label, median_filter
 
 from offpiste.core.channels import all_actuators, all_controls, control_of
 from offpiste.core.errors import RigError
@@ -412,10 +412,9 @@ def _continuing(values: Float[np.ndarray, "n k"], outside: Bool[np.ndarray, " n"
     if not outside.any() or not len(inside):
         return result
     large = steps > _LARGER * float(np.percentile(inside, 99.5))
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], outside, [False]))))
-    for first, end in edges.reshape(-1, 2):
+    for (run,) in find_objects(label(outside)[0]):
         # Step i leads from sample i to i + 1: from the sample before the run to the one after it.
-        result[first:end] = not large[max(first - 1, 0) : end].any()
+        result[run] = not large[max(run.start - 1, 0) : run.stop].any()
     return result
 
 
