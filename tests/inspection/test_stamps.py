@@ -1,4 +1,4 @@
-"""Stamps and clocks: order, gaps, delays, drift, and topics published on change."""
+"""Stamps and clocks: order, gaps, delays, drift, units, and topics published on change."""
 
 import re
 from pathlib import Path
@@ -15,6 +15,7 @@ from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.recorded_log import RememberedLog, read_topics
 from offpiste.logs import open_log
 from offpiste.logs.drive import drive_from_log
+from offpiste.rig.channels import Clock
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
 
@@ -224,3 +225,23 @@ def test_a_gear_is_found_however_seldom_it_changes(changes: int) -> None:
     assert extract_rows(drive).valid.mean() > 0.95
     box = drive.channels["gear"]
     np.testing.assert_array_equal(box.hold(at, max_gap=0.5)[:, 0], log.data["box"][1]["selected"])
+
+
+@pytest.mark.parametrize(("label", "clock", "seconds"), [
+    ("time [ms]", Clock(), 0.02),
+    ("time [ms]", Clock(column="time [ms]", unit="s"), 20.0),
+    ("time", Clock(unit="ms"), 0.02),
+    ("time", Clock(), 0.02),
+])  # fmt: skip
+def test_a_remembered_log_has_the_unit_of_stamps_of_the_rig_or_else_of_the_header(
+    tmp_path: Path, label: str, clock: Clock, seconds: float
+) -> None:
+    many = [f"c{number}" for number in range(70)]  # of which not all are kept
+    lines = [",".join([label, *many]), *(",".join([str(20 * row), *(["0"] * 70)]) for row in range(5))]
+    file = tmp_path / "drive.csv"
+    file.write_text("\n".join(lines) + "\n")
+    remembered = RememberedLog(open_log(file)).by(clock)
+    for fields in (["c1"], ["c69"]):
+        wanted = open_log(file, clock=clock).read("", fields).time
+        np.testing.assert_allclose(remembered.read("", fields).time, wanted)
+        assert np.diff(wanted)[0] == pytest.approx(seconds)
