@@ -11,7 +11,7 @@ from offpiste.core.conventions import FEATURE_SETS
 from offpiste.dataset.features_under_wheels import Cells
 from offpiste.dataset.map_snapshots import SnapshotWriter, crop, open_snapshots
 from offpiste.dataset.resample import Rows
-from offpiste.dataset.splits import Split, parse_split
+from offpiste.dataset.splits import Split, parse_split, write_drives
 from offpiste.dataset.store import Dataset, add_drive, create, open_dataset
 from offpiste.mapping.terrain_map import TerrainMap
 from offpiste.perception.backbones import Backbone
@@ -38,9 +38,7 @@ def rows_with_features(rows: int, rng: np.random.Generator, **circle: float) -> 
 
 def empty_dataset(path: Path, parts: dict[str, str], rig: Rig | None = None) -> Split:
     """A dataset with visual features for drives, each of them in one part; returns its split."""
-    listed = path.with_suffix(".txt")
-    listed.write_text("".join(f"{name} {part}\n" for name, part in parts.items()))
-    split = parse_split(f"drives:{listed}")
+    split = parse_split(write_drives(path.with_suffix(".txt"), parts.items()))
     create(path, rig or small_rig(), split, tuple(f"pca{k}" for k in range(FEATURES)))
     return split
 

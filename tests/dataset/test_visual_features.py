@@ -40,9 +40,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def dataset(folder: Path) -> Dataset:
-    (folder / "parts.txt").write_text("drive test\n")
+    split = write_drives(folder / "parts.txt", [("drive", "test")])
     with logged() as said:
-        logs, split, pca = [folder / "drive.mcap"], f"drives:{folder / 'parts.txt'}", folder / "pca.safetensors"
+        logs, pca = [folder / "drive.mcap"], folder / "pca.safetensors"
         made = extract(logs, load_rig("proving_ground"), folder / "data.zarr", split=split, pca=pca)
     found = [line for line in said if "compil" not in line]  # kernels may be compiled here or in another process
     assert "leaves nothing for train and validation" in found[0]

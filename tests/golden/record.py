@@ -38,7 +38,7 @@ from offpiste.core.errors import OffpisteError
 from offpiste.core.state import History, ModelState, RecordedTerrain, Terrain
 from offpiste.dataset.fit_pca import fit_pca
 from offpiste.dataset.resample import extract_rows
-from offpiste.dataset.splits import parse_split
+from offpiste.dataset.splits import parse_split, write_drives
 from offpiste.dataset.windows import Batch, FeaturesUnderWheels, Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
 from offpiste.dynamics.kernels.autograd import rollout_recorded, supports
@@ -443,13 +443,11 @@ def random_map(rule: str) -> TerrainLayers:
 
 def dataset() -> Results:
     """Dataset of a simulated drive: rows, features by distance, snapshots of the map, windows."""
-    listed = TEMPORARY / "visual.txt"
-    listed.write_text("drive test\n")
     made = extract(
         [light_drive()[0]],
         load_rig("proving_ground"),
         TEMPORARY / "visual.zarr",
-        split=f"drives:{listed}",
+        split=write_drives(TEMPORARY / "visual.txt", [("drive", "test")]),
         pca=pca_file(),
     )
     (drive,) = made.drives
@@ -634,10 +632,10 @@ def training() -> Results:
         dynamics = train(made, replace(quick, model=name), folder)
         found |= trained(name, dynamics, folder)
         runs.append(folder)
-    listed = TEMPORARY / "real.txt"
-    listed.write_text("dunes train\nranch validation\nranch-twin-1 test\n")
+    parts_of = [("dunes", "train"), ("ranch", "validation"), ("ranch-twin-1", "test")]
+    split = write_drives(TEMPORARY / "real.txt", parts_of)
     logs = [path for path, _ in blind_drives() if path.stem != "flaws"]
-    real = extract(logs, load_rig("proving_ground"), TEMPORARY / "real.zarr", split=f"drives:{listed}")
+    real = extract(logs, load_rig("proving_ground"), TEMPORARY / "real.zarr", split=split)
     for name in ("b", "kinematic"):
         folder = TEMPORARY / "runs" / f"real-{name}"
         found |= trained(f"real-{name}", train(real, replace(quick, model=name, epochs=1), folder), folder)
