@@ -53,9 +53,9 @@ def coded(vehicle: Vehicle, codes: int) -> Hybrid:
         return Hybrid(vehicle, encoder=Identity(codes - 1) if codes else None)
 
 
-def unsettled(module: nn.Module, *, scale: float = 0.2, seed: int = 0) -> nn.Module:
+def unsettled(module: nn.Module, *, scale: float = 0.2) -> nn.Module:
     """The module with every parameter moved, so that no output layer is zero any more."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     with torch.no_grad():
         for parameter in module.parameters():
             parameter += scale * torch.randn(parameter.shape, generator=generator, dtype=parameter.dtype)

@@ -29,8 +29,8 @@ BODY_FROM_CAMERA = mounting(Rotation.from_euler("y", 0.45) * Rotation.from_matri
 
 
 @cache
-def poses(*, straight: bool = False, noise: float = 0.0) -> Poses:
-    """Over rough ground; or straight ahead, which tells nothing of delays. White noise of the attitude [rad]."""
+def poses(*, straight: bool = False) -> Poses:
+    """Over rough ground; or straight ahead, which tells nothing of delays."""
     time = np.arange(0, SECONDS + 1.5, 0.01)
     wiggle = 0.0 if straight else 1.0
     yaw = wiggle * 0.4 * np.sin(0.8 * time)
@@ -39,8 +39,6 @@ def poses(*, straight: bool = False, noise: float = 0.0) -> Poses:
     step = np.column_stack((np.cos(yaw), np.sin(yaw))) * speed[:, None] * 0.01
     place = np.column_stack((np.cumsum(step, axis=0), np.full(len(time), 0.5)))
     turn = Rotation.from_euler("ZYX", np.column_stack((yaw, pitch, roll))).as_quat()
-    shaken = Rotation.from_rotvec(noise * np.random.default_rng(7).standard_normal((len(time), 3)))
-    turn = (Rotation.from_quat(turn) * shaken).as_quat()
     return Poses(Channel("position", "m", time, place), Channel("orientation", "1", time, turn), 0.5)
 
 
@@ -62,17 +60,17 @@ def lidar(turn=(0.0, 0.0, 0.0)) -> Lidar:
 
 
 @cache
-def scans(*, late=0.0, straight=False, noise=0.01, every=0.5) -> list[Scan]:
+def scans(*, late=0.0, straight=False) -> list[Scan]:
     """Sweeps of 0.1 s, stamped late [s]."""
     rng, made = np.random.default_rng(3), []
-    for start in np.arange(0.2, SECONDS, every):
+    for start in np.arange(0.2, SECONDS, 0.5):
         ticks = start + np.arange(100) * 1e-3
         world_from_lidar = poses(straight=straight).at(ticks) @ BODY_FROM_LIDAR
         world = surfaces(rng, world_from_lidar[0, :3, 3])
         which = rng.integers(0, 100, len(world))
         pose = world_from_lidar[which]
         points = np.einsum("nji,nj->ni", pose[:, :3, :3], world - pose[:, :3, 3])
-        points += noise * rng.standard_normal(points.shape)
+        points += 0.01 * rng.standard_normal(points.shape)
         made.append(Scan(ticks + late, which, points, float(start + 0.05 + late)))
     return made
 

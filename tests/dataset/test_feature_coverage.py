@@ -12,10 +12,10 @@ SETS = len(FEATURE_SETS)
 NEAR, FAR = FEATURE_SETS.index("0"), FEATURE_SETS.index("10")
 
 
-def cells_of(features: np.ndarray, distance: float = 7.0) -> Cells:
-    """Cells with these features [D M F], valid where they are finite."""
+def cells_of(features: np.ndarray) -> Cells:
+    """Cells with these features [D M F], valid where they are finite, seen from 7 m."""
     valid = np.isfinite(features).all(axis=2)
-    known = np.where(valid, distance, np.nan).astype(np.float32)
+    known = np.where(valid, 7.0, np.nan).astype(np.float32)
     index = np.zeros((1, 4), np.int32)
     return Cells(index, features.astype(np.float16), valid, known, known)
 

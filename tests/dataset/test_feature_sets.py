@@ -24,11 +24,10 @@ WHEELS = np.array([[0.5, 0.3], [0.5, -0.3], [-0.5, 0.3], [-0.5, -0.3]])
 RESOLUTION, REACH = 0.5, 48.0
 
 
-def there_and_back(speed: float = 4.0, length: float = 70.0, dt: float = 0.25) -> tuple[np.ndarray, np.ndarray]:
-    """Along x, then back on the same line."""
-    steps = int(length / speed / dt)
-    x = np.concatenate((np.arange(steps), np.arange(steps)[::-1])) * speed * dt
-    return dt * np.arange(len(x)), np.column_stack((x, np.zeros_like(x)))
+def there_and_back() -> tuple[np.ndarray, np.ndarray]:
+    """Times and positions of a drive of 70 m along x and back on the same line, at 4 m/s."""
+    x = np.concatenate((np.arange(70.0), np.arange(70.0)[::-1]))
+    return 0.25 * np.arange(len(x)), np.column_stack((x, np.zeros_like(x)))
 
 
 def passes_of(time: np.ndarray, xy: np.ndarray):

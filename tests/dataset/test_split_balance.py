@@ -19,12 +19,11 @@ from offpiste.dataset.splits import parse_split
 from offpiste.dataset.store import Dataset
 
 
-def at_speed(speed: np.ndarray, turning: np.ndarray | None = None) -> Rows:
-    """A drive with these speeds [m/s] and turn rates [rad/s]."""
+def at_speed(speed: np.ndarray) -> Rows:
+    """A drive straight ahead with these speeds [m/s]."""
     rows = circle_rows(len(speed), seed=0)
     state = np.zeros_like(rows.state)
-    state[:, 3], state[:, 5] = speed, 0 if turning is None else turning
-    state[:, 0] = np.cumsum(speed) * 0.02
+    state[:, 0], state[:, 3] = np.cumsum(speed) * 0.02, speed
     return replace(rows, state=state, state_causal=state.copy(), valid=np.ones(len(speed), bool))
 
 

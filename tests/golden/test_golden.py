@@ -43,7 +43,7 @@ def test_golden(group: str) -> None:
     assert not said, f"{len(said)} of {len(wanted)} differ\n" + "\n".join(said[:40]) + more
 
 
-def different(wanted: np.ndarray | str, found: np.ndarray | str, tolerance: float = TOLERANCE) -> str:
+def different(wanted: np.ndarray | str, found: np.ndarray | str, tolerance: float) -> str:
     """Describe a difference; empty for equal results."""
     if isinstance(wanted, str) or isinstance(found, str):
         return "" if wanted == found else f"was {shortened(wanted, found)}, is {shortened(found, wanted)}"

@@ -23,8 +23,9 @@ def correlated(count: int, channels: int, seed: int = 0) -> np.ndarray:
     return generator.normal(size=(count, channels)) * spread @ mixing + 50.0
 
 
-def fitted(count: int = 500, channels: int = 12, components: int = 6) -> PrincipalComponents:
-    return fit(Moments.of(correlated(count, channels)), BACKBONE, components=components, images=3, drives=["a.mcap"])
+def fitted() -> PrincipalComponents:
+    moments = Moments.of(correlated(500, BACKBONE.channels))
+    return fit(moments, BACKBONE, components=6, images=3, drives=["a.mcap"])
 
 
 @given(cuts=st.lists(st.integers(0, 300), max_size=6), seed=st.integers(0, 9))
@@ -74,7 +75,7 @@ def test_ground_that_is_too_little_flat_or_not_finite_is_refused():
 
 
 def test_saved_and_read_again(tmp_path: Path):
-    pca = fitted(channels=BACKBONE.channels)
+    pca = fitted()
     save_pca(tmp_path / "pca.safetensors", pca)
     again = load_pca(tmp_path / "pca.safetensors")
     for name in ("mean", "basis", "variance"):
@@ -85,7 +86,7 @@ def test_saved_and_read_again(tmp_path: Path):
 
 
 def test_another_backbone_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    save_pca(tmp_path / "pca.safetensors", fitted(channels=BACKBONE.channels))
+    save_pca(tmp_path / "pca.safetensors", fitted())
     monkeypatch.setattr(Filterbank, "settings", lambda _: {"kind": "other"})
     other = Filterbank()
     with pytest.raises(PerceptionError) as caught:
