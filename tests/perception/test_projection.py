@@ -110,7 +110,7 @@ def test_points_that_are_not_finite_are_not_seen_and_warn_of_nothing():
 
 
 def plain(points_world: np.ndarray, views: list[CameraView]) -> Projection:
-    """By whole matrices, a point at a time."""
+    """Project by 4 x 4 matrices, one point at a time."""
     n = len(points_world)
     found = Projection(np.full(n, -1), np.full((n, 2), np.nan), np.zeros(n, int), np.zeros(n, int), np.full(n, np.nan))
     best = np.full(n, np.inf)
@@ -161,7 +161,7 @@ def test_a_projection_is_that_of_numpy(count: int, views: int):
 
 
 def plain_occlusion(pixels, depth, reach):
-    """The definition, slowly, with cells of 2 px."""
+    """Apply the definition to one point at a time, with cells of 2 px."""
     window = int(np.ceil(reach / 2))
     place = np.floor((pixels + 0.5) / 2).astype(int)
     answer = []
