@@ -81,14 +81,6 @@ def found(
     return Finding(severity or message.get("severity", by_score), where, what, evidence, how, score, known, sure)
 
 
-def fixable(
-    severity: Severity, where: str, what: str, evidence: str, *cures: Cure, score: float = 1.0, advice: str = ""
-) -> Finding:
-    """Return a finding whose remedy is its first fix, or advice if it has none; empty fixes are dropped."""
-    known = tuple(cure for cure in cures if cure)
-    return Finding(severity, where, what, evidence, ", ".join(map(str, known[0])) if known else advice, score, known)
-
-
 def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return the findings sorted by severity, worst first."""
     return tuple(sorted(findings, key=lambda f: (_ORDER[f.severity], -f.score, f.where, f.what)))
