@@ -761,11 +761,9 @@ def read(folder: Path, group: str) -> Results:
     results: Results = dict(index["texts"])
     with np.load(folder / f"{group}.npz") as packed:
         for kind, keys in index["arrays"].items():
-            at, values = 0, packed[kind]
-            for key, shape in keys:
-                size = int(np.prod(shape))
-                results[key] = values[at : at + size].reshape(shape)
-                at += size
+            ends = np.cumsum([int(np.prod(shape)) for _, shape in keys])
+            for (key, shape), values in zip(keys, np.split(packed[kind], ends[:-1]), strict=True):
+                results[key] = values.reshape(shape)
     return results
 
 

@@ -48,10 +48,8 @@ def drive(free_space, *, box, things=(), scans=45):
 
 
 def trail(layers):
-    x = layers.origin[0] + layers.resolution * np.arange(layers.elevation.shape[1])
-    y = layers.origin[1] + layers.resolution * np.arange(layers.elevation.shape[0])
-    tall = np.nan_to_num(layers.obstacle_height) > 0.3
-    return int(tall[np.ix_(np.abs(y) < 6, np.abs(x - 8) < 0.7)].sum())
+    on_the_way = (np.abs(layers.centres - [8.0, 0.0]) < [0.7, 6.0]).all(axis=-1)
+    return int((np.nan_to_num(layers.obstacle_height[on_the_way]) > 0.3).sum())
 
 
 def test_the_trail_of_a_moving_box_goes():
