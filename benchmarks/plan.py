@@ -67,14 +67,6 @@ def ground(cells: int = 600, resolution: float = 0.2) -> TerrainLayers:
     )  # fmt: skip
 
 
-def codes_first(at: Situation, codes: tuple[Tensor, Tensor]) -> Situation:
-    """The situation with a map of codes instead of features, for planners that read one cell at a time."""
-    cells = codes[0][None]
-    return Situation(
-        replace(at.ground, features=cells), at.costs, at.wheels, at.offset, at.state, at.control,
-    )  # fmt: skip
-
-
 def stepwise(model: Hybrid, at: Situation, weights: CostWeights, samples: int) -> tuple[Planned, Planned]:
     """Dynamics and running cost for pytorch_mppi; velocity and control before a step travel with the state."""
     zeros, offset = torch.zeros(samples, dtype=torch.long, device=at.state.device), at.offset.expand(samples, 2)
@@ -158,7 +150,8 @@ def agreement(costs: Tensor, reference: Tensor) -> float:
 def compare(model: Hybrid, at: Situation, controls: Tensor, options: argparse.Namespace) -> None:
     """Print what the same rollouts cost each planner."""
     weights, codes = CostWeights(), encode_map(at.ground, model.encoder)
-    coded, model_state = codes_first(at, codes), start(model, at)
+    # Codes instead of features, for planners that read one cell at a time.
+    coded, model_state = replace(at, ground=replace(at.ground, features=codes[0][None])), start(model, at)
     fused = fused_costs(model, model_state, at, weights, codes)
     eager = driving_costs(model, model_state, coded, weights, as_codes(codes[1]) if model.codes else None)
     makers: dict[str, Callable[[], Callable[[], Tensor]]] = {
@@ -193,15 +186,12 @@ def whole_plan(models: dict[str, Hybrid], at: Situation, plan: Tensor, settings:
         unsure = replace(at, caution=Caution(Spread(inputs_of(model.vehicle, model.codes)), 1.0))
         cautious = fused_costs(model, start(model, at), unsure, CostWeights(), codes)
         runs[f"rollouts, {name}, with spread"] = lambda cost_of=cautious: cost_of(controls)
-        runs[f"whole, {name}"] = lambda model=model, codes=codes: (
-            improve(
-                plan,
-                fused_costs(model, start(model, at), at, CostWeights(), codes),
-                settings,
-                draw,
-                previous=at.control,
-            ).controls
-        )
+
+        def whole(model: Hybrid = model, codes: tuple[Tensor, Tensor] = codes) -> Tensor:
+            cost_of = fused_costs(model, start(model, at), at, CostWeights(), codes)
+            return improve(plan, cost_of, settings, draw, previous=at.control).controls
+
+        runs[f"whole, {name}"] = whole
     taken = in_turns(runs, seconds)
     for name, one in taken.items():
         print(f"  {name:24} {one}", flush=True)

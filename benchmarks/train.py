@@ -23,8 +23,6 @@ from offpiste.dataset.ground_tables import free_budget, ground_tables
 from offpiste.dataset.store import open_dataset
 from offpiste.dataset.windows import Batch, Windows
 from offpiste.dynamics import Hybrid, Kinematic, rollout
-from offpiste.dynamics.header.gpu import gpu_kernels
-from offpiste.dynamics.header.recorded import rollout_by_kernels
 from offpiste.dynamics.kernels.autograd import rollout_recorded
 from offpiste.training.batches import draw_sets
 from offpiste.training.config import TrainConfig
@@ -85,15 +83,8 @@ def total(parts: Iterable[Timed]) -> Timed:
 
 
 def by_kernel(model: Hybrid) -> Rollout:
-    """What training does."""
-
-    def roll(model_state: ModelState, batch: Batch) -> Trajectory:
-        kernels = gpu_kernels(model, batch.state.device, batch.state.dtype)
-        if kernels is None:
-            return rollout_recorded(model, model_state, batch.control, batch.terrain)
-        return rollout_by_kernels(kernels, model, model_state, batch.control, batch.terrain)
-
-    return roll
+    """What training does on the CPU."""
+    return lambda model_state, batch: rollout_recorded(model, model_state, batch.control, batch.terrain)
 
 
 def by_eager(model: Hybrid) -> Rollout:
@@ -169,12 +160,12 @@ def encoded_by_row(model: Hybrid, batch: Batch) -> Batch:
     return replace(batch, history=replace(batch.history, terrain=before), terrain=replace(batch.terrain, latent=ahead))
 
 
-def make_trainer(dataset_path: Path, batch: int, device: torch.device | None = None) -> Trainer:
+def make_trainer(dataset_path: Path, batch: int) -> Trainer:
     """A `dc` with weights that are not at rest, on the training windows of a dataset."""
-    dataset, device = open_dataset(dataset_path), device or torch.device("cpu")
-    windows = Windows(dataset, "train", device=device, ground=ground_tables(dataset, device, free_budget(device)))
+    dataset, device = open_dataset(dataset_path), torch.device("cpu")
+    windows = Windows(dataset, "train", ground=ground_tables(dataset, device, free_budget(device)))
     vehicle = vehicle_of(dataset)
-    model = build("dc", vehicle, seed=0).to(device)
+    model = build("dc", vehicle, seed=0)
     assert isinstance(model, Hybrid)
     model.actuators.requires_grad_(False)
     standardise(model, windows)
@@ -182,7 +173,7 @@ def make_trainer(dataset_path: Path, batch: int, device: torch.device | None = N
     last = model.compensator.output[-1]
     assert isinstance(last, nn.Linear)
     nn.init.normal_(last.weight, std=0.02)
-    scale = loss_scale(Kinematic(vehicle).to(device), windows, TrainConfig(stride=max(50, len(windows) // 1000)))
+    scale = loss_scale(Kinematic(vehicle), windows, TrainConfig(stride=max(50, len(windows) // 1000)))
     optimiser = torch.optim.Adam([p for p in model.parameters() if p.requires_grad], lr=1e-4)
     return Trainer(model, windows, scale, optimiser, batch, np.random.default_rng(0))
 
