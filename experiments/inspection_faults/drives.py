@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
+from experiments.arrays import load_arrays, save_arrays
 from offpiste.core.conventions import DT
-from offpiste.core.files import write_whole
 from offpiste.simulation.driver.driver import DriverSettings
 from offpiste.simulation.sample import VehicleSample
 from offpiste.simulation.simulate import FINAL_EVENTS, drive, start_and_driver
@@ -76,28 +76,12 @@ def scaled(drive: TrueDrive, size: float) -> TrueDrive:
     return replace(drive, **{name: getattr(drive, name) * factor for name, factor in powers.items()})
 
 
-def save(drive: TrueDrive, path: Path) -> None:
-    """Write a drive to an .npz file, whole or not at all."""
-
-    def write(part: Path) -> None:
-        with part.open("wb") as file:
-            np.savez(file, **{field.name: getattr(drive, field.name) for field in fields(drive)})
-
-    write_whole(path, write)
-
-
-def load(path: Path) -> TrueDrive:
-    """Read a drive that `save` wrote."""
-    with np.load(path, allow_pickle=False) as stored:
-        return TrueDrive(**{name: stored[name] if stored[name].ndim else stored[name].item() for name in stored})
-
-
 def drive_of(seed: int, cache: Path) -> TrueDrive:
     """Return the drive of a seed, simulated once and kept in the folder `cache`."""
     path = cache / f"drive-{seed:06d}.npz"
     if not path.exists():
-        save(_simulated(seed), path)
-    return load(path)
+        save_arrays(_simulated(seed), path)
+    return load_arrays(TrueDrive, path)
 
 
 def _simulated(seed: int) -> TrueDrive:

@@ -1,6 +1,6 @@
 """Tables of many scores: faults found and fixed, false alarms, and costs after all fixes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.stats import binomtest
@@ -10,8 +10,15 @@ from experiments.inspection_faults.score import FaultScore, Score
 from offpiste.evaluation.intervals import MIN_UNITS
 
 
-def share(hits: int, count: int) -> str:
-    """A share with its interval, in words."""
+def share_table(measures: Mapping[str, Sequence[bool]]) -> str:
+    """Return the share of hits of each measure as Markdown."""
+    rows = (f"| {name} | {_share(hits)} |" for name, hits in measures.items())
+    return "\n".join(("| measure | share (95 % interval) |", "|---|---|", *rows))
+
+
+def _share(cases: Sequence[bool]) -> str:
+    """Format a share with its interval."""
+    hits, count = sum(cases), len(cases)
     if count == 0:
         return "-"
     low, high = binomtest(hits, count).proportion_ci(method="wilson")
@@ -20,17 +27,17 @@ def share(hits: int, count: int) -> str:
 
 
 def shown(cost: float | None) -> str:
-    """A cost in words."""
+    """Format a cost."""
     return "not known" if cost is None else "unreadable" if cost >= UNREADABLE else f"{cost:+.0%}"
 
 
 def listed(title: str, lines: Sequence[str]) -> list[str]:
-    """A section with a list, if there is anything to list."""
+    """Return a section with a list, if there is anything to list."""
     return [f"## {title}", "\n".join(f"- {line}" for line in lines)] if lines else []
 
 
 def report(scores: Sequence[Score]) -> str:
-    """The whole report as Markdown."""
+    """Return the whole report as Markdown."""
     healthy, faulty = [s for s in scores if not s.faults], [s for s in scores if s.faults]
     single = [(s, s.faults[0]) for s in faulty if len(s.faults) == 1]
     costly = [(s, fault) for s, fault in single if s.cost is not None and s.cost >= COSTLY]
@@ -51,8 +58,7 @@ def report(scores: Sequence[Score]) -> str:
         "# What `inspect` finds in logs with known truth",
         f"{len(scores)} logs: {len(healthy)} healthy, {len(single)} with one fault, {len(faulty) - len(single)} with"
         " two or three. Intervals are Wilson's 95 %.",
-        "| measure | share (95 % interval) |\n|---|---|\n"
-        + "\n".join(f"| {name} | {share(sum(hits), len(hits))} |" for name, hits in measures.items()),
+        share_table(measures),
         *_by_fault(single),
         *listed("False alarms on healthy logs", [_line(s, alarm) for s in healthy for alarm in s.false_alarms]),
         *listed("False alarms on faulty logs", [_line(s, alarm) for s in faulty for alarm in s.false_alarms]),
@@ -64,7 +70,7 @@ def report(scores: Sequence[Score]) -> str:
 
 
 def _by_fault(single: Sequence[tuple[Score, FaultScore]]) -> list[str]:
-    """A row for each fault and strength; costs are medians."""
+    """Return a row for each fault and strength; costs are medians."""
     lines = ["| fault | strength | logs | cost | found | noted | right first fix | cost after fixes |",
              "|---|---|---|---|---|---|---|---|"]  # fmt: skip
     for name, strength in sorted({(fault.name, fault.strength) for _, fault in single}):

@@ -57,9 +57,7 @@ class Layout:
 
     def mounting(self, name: str) -> Float[np.ndarray, "4 4"]:
         """True `body_from_sensor`."""
-        pose, matrix = self.camera if name == CAMERA else self.lidar, np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.position
-        return matrix
+        return (self.camera if name == CAMERA else self.lidar).matrix
 
 
 _USUAL: Final = light_suite()

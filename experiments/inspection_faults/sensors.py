@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.command import run
 from experiments.inspection_faults.drives import BEHAVIOURS, ground_and_style, world_of
-from experiments.inspection_faults.report import listed, share
+from experiments.inspection_faults.report import listed, share_table
 from experiments.inspection_faults.score import in_words, serious
 from experiments.inspection_faults.sensor_faults import LAYOUTS, SENSOR_FAULTS, SensorCase, SensorFault
 from experiments.inspection_faults.study import Study
@@ -57,10 +57,8 @@ def recorded_drive(number: int, cache: Path) -> Path:
     cache.mkdir(parents=True, exist_ok=True)
     while not path.exists():
         ground, style = ground_and_style(str(random.choice(behaviours, p=shares / shares.sum())), world, random)
-        settings, part = (
-            DriveSettings(world=ground.settings, seed=int(random.integers(1 << 30))),
-            path.with_name(f"part-{path.name}"),
-        )
+        settings = DriveSettings(world=ground.settings, seed=int(random.integers(1 << 30)))
+        part = path.with_name(f"part-{path.name}")
         start, driver = start_and_driver(ground, vehicle, seed=settings.seed, settings=style)
         steps, suite = round(_SECONDS * 50), LAYOUTS[layout].suite()
         part.unlink(missing_ok=True)
@@ -70,7 +68,7 @@ def recorded_drive(number: int, cache: Path) -> Path:
 
 
 def given_to(seed: int) -> tuple[SensorFault | None, float]:
-    """Fault and strength of a seed; they take turns, so that all are equally frequent."""
+    """Return fault and strength of a seed; they take turns, so that all are equally frequent."""
     number, turn = divmod(seed, CASES_PER_DRIVE)
     if turn == 0:
         return None, 0.0
@@ -120,7 +118,7 @@ def _first_fix(case: SensorCase, fault: SensorFault, warning: Finding) -> str:
 
 
 def report(scores: Sequence[SensorScore]) -> str:
-    """The whole report as Markdown."""
+    """Return the whole report as Markdown."""
     healthy, faulty = [s for s in scores if not s.fault], [s for s in scores if s.fault]
     measures = {
         "healthy logs with a false alarm": [bool(s.alarms) for s in healthy],
@@ -139,8 +137,7 @@ def report(scores: Sequence[SensorScore]) -> str:
     parts = [
         "# What `inspect` finds in cameras and LiDARs of logs with known truth",
         f"{len(healthy)} healthy logs, {len(faulty)} with one fault. Intervals are Wilson's 95 %.",
-        "| measure | share (95 % interval) |\n|---|---|\n"
-        + "\n".join(f"| {name} | {share(sum(hits), len(hits))} |" for name, hits in measures.items()),
+        share_table(measures),
         "| fault | strength | found | noted | right first fix |\n|---|---|---|---|---|\n" + "\n".join(rows),
         *listed("False alarms on healthy logs", [_line(s, a) for s in healthy for a in (*s.alarms, *s.accusing)]),
         *listed("Other alarms on faulty logs", [_line(s, a) for s in faulty for a in s.alarms]),
@@ -165,7 +162,7 @@ class SensorFaults(Study):
     kind: ClassVar[type] = SensorScore
 
     def case(self, seed: int) -> SensorCase:
-        """The healthy case of a seed."""
+        """Return the healthy case of a seed."""
         path = recorded_drive(seed // CASES_PER_DRIVE, self.drives)
         layout = LAYOUTS[path.stem.rpartition("-")[2]]
         rig = layout.rig()
@@ -176,11 +173,11 @@ class SensorFaults(Study):
         return score(seed, self.case(seed), *given_to(seed))
 
     def report(self, scores: Sequence[SensorScore]) -> str:
-        """The whole report as Markdown."""
+        """Return the whole report as Markdown."""
         return report(scores)
 
     def summary(self, score: SensorScore) -> str:
-        """What became of a fault."""
+        """Describe the outcome of a fault."""
         what = "found" if score.found else "noted" if score.noted else "missed" if score.fault else "healthy"
         return f"{_line(score)}: {what} {score.fix}; {len(score.alarms)} other alarms"
 

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from experiments.arrays import load_arrays, save_arrays
 from experiments.command import run
-from experiments.probe.cells import see_cells_once
+from experiments.probe.cells import SeenCells, see_cells
 from experiments.probe.scores import Pooled, pool, probe_rows
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.errors import PerceptionError
@@ -61,7 +62,7 @@ class Probe:
     """Number of images that the PCA is fitted on."""
 
     def run(self) -> None:
-        """The whole experiment."""
+        """Run the whole experiment."""
         if both := set(self.seeds) & set(self.test_seeds):
             raise PerceptionError(f"seed {min(both)} is in training and test", how="give other --test-seeds")
         rows = self.by_distance()
@@ -71,7 +72,7 @@ class Probe:
         logger.info(str(self.out / "probe.json"))
 
     def by_distance(self) -> list[dict[str, Any]]:
-        """Probes of each world, and of all together."""
+        """Return the probes of each world, and of all together."""
         groups: dict[str, tuple[str, ...]] = {world: (world,) for world in self.worlds}
         if len(self.worlds) > 1:
             groups[MIXED] = self.worlds
@@ -83,16 +84,19 @@ class Probe:
         return rows
 
     def pooled(self, worlds: Sequence[str], seeds: Sequence[int]) -> Pooled:
-        """Cells of drives."""
+        """Return the cells of drives, extracted once."""
         names = [(world, seed) for world in worlds for seed in seeds]
         folder = self.out / "cells" / self.extractor.identity
-        return pool([
-            see_cells_once(folder / f"{world}-{seed}.npz", self.log(world, seed), self.rig, self.extractor)
-            for world, seed in track(names, "extract")
-        ])  # fmt: skip
+        cells = []
+        for world, seed in track(names, "extract"):
+            log, path = self.log(world, seed), folder / f"{world}-{seed}.npz"
+            if not path.exists():
+                save_arrays(see_cells(log, self.rig, self.extractor), path)
+            cells.append(load_arrays(SeenCells, path))
+        return pool(cells)
 
     def log(self, world: str, seed: int) -> Path:
-        """A drive, simulated if it is not there."""
+        """Return the log of a drive, simulated once."""
         path = (self.drives or self.out / "drives") / f"{world}-{seed}.mcap"
         settings = DriveSettings(WorldSettings(world, seed), self.seconds, seed=seed, sensors="light")
         logger.info(simulate_once(settings, path))
@@ -108,7 +112,7 @@ class Probe:
         """Backbone and PCA; the PCA is fitted once, on the drives that train.
 
         Raises:
-            PerceptionError: the PCA that is there was fitted on a test drive.
+            PerceptionError: the existing PCA was fitted on a test drive.
         """
         path = self.out / "pca.safetensors"
         if not path.exists():
@@ -124,7 +128,7 @@ class Probe:
 
 
 def distance_table(rows: Sequence[dict[str, Any]], title: str) -> Table:
-    """R² by input and feature set."""
+    """Return R² by input and feature set."""
     table = Table("target", "trained on", "from", *FEATURE_SETS, title=f"{title}: R²")
     lines: dict[tuple[str, ...], dict[str, str]] = {}
     for row in rows:

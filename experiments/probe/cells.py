@@ -1,6 +1,6 @@
-"""Ground under the wheels of a simulated drive: what it looked like from each distance, and what it truly is."""
+"""Ground under the wheels of a simulated drive: its look from each distance, and its true properties."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
@@ -11,7 +11,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from offpiste.core.conventions import WHEELS
-from offpiste.core.files import write_whole
 from offpiste.dataset.resample import extract_rows
 from offpiste.dataset.visual_features import with_visual_features
 from offpiste.logs import read_drive
@@ -27,17 +26,17 @@ from offpiste.rig.rig import Rig
 from offpiste.simulation.world.grids import read_grid
 
 GROUND = (*GROUND_KINDS, "wetness")
-"""What the ground is of: shares of each kind, and 0 dry to 1 wet."""
+"""Layers of the true ground: shares of each kind, and 0 dry to 1 wet."""
 
 
 @dataclass(frozen=True)
 class SeenCells:
-    """Cells under the wheels, once a pass, by feature set.
+    """Cells under the wheels, each counted once per pass, by feature set.
 
     Attributes:
         features: components of the backbone's features.
-        colour: mean red, green, blue of the same patches, as the camera gave them [0..1].
-        valid: whether the map held them.
+        colour: mean red, green, blue of the same patches in the camera image [0..1].
+        valid: whether the map has features and colour.
         properties: true `GROUND_PROPERTIES` at the cell's centre.
         ground: true `GROUND` there.
         row: of the drive at 50 Hz when the first wheel entered the cell.
@@ -61,7 +60,7 @@ class WithColour(Backbone):
 
     @property
     def device(self) -> torch.device:
-        """Where it computes."""
+        """Device of the backbone."""
         return self._inner.device
 
     def settings(self) -> dict[str, Any]:
@@ -74,7 +73,7 @@ class WithColour(Backbone):
 
 
 def with_colour(extractor: FeatureExtractor) -> FeatureExtractor:
-    """The extractor with the mean red, green and blue of each patch as the last three features."""
+    """Return the extractor with the mean red, green and blue of each patch as the last three features."""
     backbone, pca = WithColour(extractor.backbone), extractor.pca
     basis = np.zeros((backbone.channels, pca.components + 3), np.float32)
     basis[: pca.basis.shape[0], : pca.components] = pca.basis
@@ -117,27 +116,3 @@ def see_cells(log: Path, rig: Rig, extractor: FeatureExtractor) -> SeenCells:
         ground=there[:, len(GROUND_PROPERTIES) :],
         row=contact // len(WHEELS),
     )
-
-
-def see_cells_once(piece: Path, log: Path, rig: Rig, extractor: FeatureExtractor) -> SeenCells:
-    """`see_cells`, kept in a file: written whole, and read where it is there already."""
-    if not piece.exists():
-        save_cells(piece, see_cells(log, rig, extractor))
-    return load_cells(piece)
-
-
-def save_cells(path: Path, cells: SeenCells) -> None:
-    """Write cells whole or not at all."""
-    arrays = {field.name: getattr(cells, field.name) for field in fields(cells)}
-
-    def write(partial: Path) -> None:
-        with partial.open("wb") as file:
-            np.savez(file, **arrays)
-
-    write_whole(path, write)
-
-
-def load_cells(path: Path) -> SeenCells:
-    """What `save_cells` wrote."""
-    with np.load(path, allow_pickle=False) as arrays:
-        return SeenCells(**{field.name: arrays[field.name] for field in fields(SeenCells)})

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from experiments.arrays import save_arrays as save
 from experiments.inspection_faults.cost import distance, is_fixed, rows_of
-from experiments.inspection_faults.drives import save
 from experiments.inspection_faults.faults import FAULTS
 from experiments.inspection_faults.score import fault_case
 from made_up_drive import made_up_case, made_up_drive

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import experiments.inspection_faults.score as scoring
+from experiments.arrays import save_arrays as save
 from experiments.inspection_faults.__main__ import InspectionFaults
 from experiments.inspection_faults.detectability import Detectability, warned
-from experiments.inspection_faults.drives import save
 from experiments.inspection_faults.faults import FAULTS
 from experiments.inspection_faults.report import report
 from experiments.inspection_faults.score import FaultCase, FaultScore, Given, Score, score

@@ -1,14 +1,15 @@
 """The probe on made-up ground whose answer is known, on a real replay of a few seconds, and from end to end."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
+from experiments.arrays import save_arrays
 from experiments.probe.__main__ import Probe
-from experiments.probe.cells import GROUND, SeenCells, save_cells, see_cells
+from experiments.probe.cells import GROUND, SeenCells, see_cells
 from experiments.probe.scores import fit_ridge, pool, probe_rows
 from offpiste.core.conventions import FEATURE_SETS
 from offpiste.core.errors import PerceptionError
@@ -81,10 +82,10 @@ def test_the_ceiling_is_above_the_probe_which_explains_its_share_of_the_variance
         assert by("visual", "same", name)["r2"] == pytest.approx(wanted, abs=0.06)
 
 
-def filterbank_looking() -> FeatureExtractor:
+def filterbank_looking(logs: Sequence[str] = ()) -> FeatureExtractor:
     backbone = open_backbone("filterbank")
     vectors = np.random.default_rng(0).normal(size=(500, backbone.channels))
-    return FeatureExtractor(backbone, fit(Moments.of(vectors), backbone, components=5))
+    return FeatureExtractor(backbone, fit(Moments.of(vectors), backbone, components=5, logs=logs))
 
 
 def test_cells_carry_the_truth(tmp_path: Path) -> None:
@@ -111,7 +112,7 @@ def test_the_experiment_resumes(tmp_path: Path) -> None:
     (tmp_path / "drives").mkdir()
     for number, name in enumerate(("a-1", "a-2")):
         (tmp_path / "drives" / f"{name}.mcap").touch()
-        save_cells(tmp_path / "cells" / extractor.identity / f"{name}.npz", made_up(number, cells=600))
+        save_arrays(made_up(number, cells=600), tmp_path / "cells" / extractor.identity / f"{name}.npz")
     Probe(out=tmp_path, worlds=("a",), seeds=(1,), test_seeds=(2,)).run()
     result = json.loads((tmp_path / "probe.json").read_text())
     assert {row["worlds"] for row in result["probes"]} == {"a"}
@@ -120,8 +121,6 @@ def test_the_experiment_resumes(tmp_path: Path) -> None:
 def test_no_drive_is_in_training_and_test(tmp_path: Path) -> None:
     with pytest.raises(PerceptionError, match="is in training and test"):
         Probe(out=tmp_path, seeds=(1, 2), test_seeds=(2,)).run()
-    extractor = filterbank_looking()
-    fitted = fit(Moments.of(torch.randn(90, extractor.backbone.channels)), extractor.backbone, logs=["dunes-2"])
-    save_pca(tmp_path / "pca.safetensors", fitted)
+    save_pca(tmp_path / "pca.safetensors", filterbank_looking(["dunes-2"]).pca)
     with pytest.raises(PerceptionError, match="dunes-2"):
         Probe(out=tmp_path, seeds=(1,), test_seeds=(2,)).run()
