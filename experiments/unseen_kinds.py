@@ -9,13 +9,13 @@ import json
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Final
 
 import msgspec
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from experiments.command import run
 from experiments.control_experiments.reproduced import open_reproduction
@@ -46,19 +46,16 @@ from offpiste.uncertainty.spread import Spread
 logger = logging.getLogger("experiments")
 
 MOSTLY: Final = 0.5
-"""Share of a window's steps and wheels on a kind, from which it counts as one on it."""
+"""Share of a window's steps and wheels on a kind from which the window counts as on it."""
 
 FEWEST: Final = 50
-"""Windows on a kind, for it to be held out."""
+"""Smallest number of windows on a kind that is held out."""
 
 ELSEWHERE: Final = 300
-"""Windows that never touch the kind, evenly spread, which are evaluated as well."""
+"""Number of evaluated windows that never touch the kind, evenly spread."""
 
 OUTSIDE: Final = -1
-"""The part of rows that belong to none."""
-
-AT_ONCE: Final = 10_000
-"""Cells compared with all kinds at once, to bound memory."""
+"""Label of rows without a part."""
 
 
 @dataclass(frozen=True)
@@ -107,28 +104,18 @@ class UnseenKinds:
         return f"{table.text(width=150)}\nwritten: {self.out / 'unseen_kinds.md'}"
 
 
-@cache
-def _of_kinds() -> Float[np.ndarray, "W K 4"]:
-    """Properties of the kinds from dry to wet."""
+def nearest_kinds(properties: Float[np.ndarray, "N 4"]) -> Int[np.ndarray, " N"]:
+    """Return the number of the kind with the nearest properties at any wetness."""
     dry, wet = property_table()
     wetness = np.linspace(0, 1, 41)[:, None, None]
-    return np.asarray((1 - wetness) * dry + wetness * wet)
-
-
-def nearest_kinds(properties: Float[np.ndarray, "N 4"]) -> Int[np.ndarray, " N"]:
-    """Number of the kind with the nearest properties at any wetness."""
-    parts = np.array_split(properties, len(properties) // AT_ONCE + 1)
-    return np.concatenate([_distances(part).argmin(axis=1) for part in parts])
-
-
-def _distances(properties: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N K"]:
-    kinds = _of_kinds()
-    apart = (properties[:, None, None] - kinds) / kinds.std(axis=(0, 1))
-    return np.asarray(np.linalg.norm(apart, axis=-1).min(axis=1))
+    kinds = (1 - wetness) * dry + wetness * wet
+    scale = kinds.std(axis=(0, 1))
+    nearest = cKDTree((kinds / scale).reshape(-1, len(scale))).query(properties / scale)[1]
+    return np.asarray(nearest % len(dry))
 
 
 def kinds_under_wheels(truth: StoredDrive) -> Int[np.ndarray, "N 4"]:
-    """Number of the kind nearest to the ground under each wheel; -1 where no ground is known."""
+    """Return the number of the kind nearest to the ground under each wheel; -1 if no ground is known."""
     cells = truth.rows.cells
     assert cells is not None
     of_cell = nearest_kinds(np.asarray(cells.features[0], np.float64))
@@ -136,7 +123,7 @@ def kinds_under_wheels(truth: StoredDrive) -> Int[np.ndarray, "N 4"]:
 
 
 def without_kind(dataset: Dataset, kinds: Sequence[Int[np.ndarray, "N 4"]], kind: int) -> Dataset:
-    """The same rows, but those of training and validation with a wheel on a kind of ground belong to no part."""
+    """Return the dataset without a part for rows of training and validation with a wheel on a kind of ground."""
 
     def held_out(drive: StoredDrive, on: np.ndarray) -> StoredDrive:
         touched = (on == kind).any(axis=1) & (drive.part != PARTS.index("test"))
@@ -148,7 +135,7 @@ def without_kind(dataset: Dataset, kinds: Sequence[Int[np.ndarray, "N 4"]], kind
 def share_on_kinds(
     windows: Windows, index: Int[np.ndarray, " n"], kinds: Sequence[Int[np.ndarray, "N 4"]]
 ) -> Float[np.ndarray, "n K"]:
-    """Share of the steps and wheels of windows on each kind of ground.
+    """Return the share of the steps and wheels of windows on each kind of ground.
 
     Args:
         kinds: of each drive, in the order of the dataset.
@@ -160,10 +147,10 @@ def share_on_kinds(
 
 
 def chosen_kinds(names: Sequence[str], mostly: Bool[np.ndarray, "n K"]) -> list[int]:
-    """Numbers of the kinds to hold out: those of some names, or all that enough windows are on.
+    """Return the numbers of the kinds to hold out: those named, or all with enough windows.
 
     Raises:
-        DatasetError: a name is unknown, or too few windows are on what is to be held out.
+        DatasetError: a name is unknown, or too few windows are on these kinds.
     """
     if unknown := [name for name in names if name not in GROUND_KINDS]:
         raise DatasetError(f"no kind of ground is called '{unknown[0]}'", how=f"choose from {', '.join(GROUND_KINDS)}")
@@ -179,7 +166,7 @@ def chosen_kinds(names: Sequence[str], mostly: Bool[np.ndarray, "n K"]) -> list[
 def rows_of(
     name: str, run: Run, spread: Spread, windows: Windows, chosen: Mapping[str, Int[np.ndarray, " n"]]
 ) -> list[CalibrationRow]:
-    """How far a run's predictions of some test windows stray, and whether a spread says so.
+    """Return the calibration of a spread on a run's predictions of some test windows.
 
     Args:
         windows: of the test part.
