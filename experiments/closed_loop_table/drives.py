@@ -24,19 +24,19 @@ from offpiste.core.files import check_folder
 from offpiste.core.parallel import run_all
 from offpiste.planning.caution import AsPredicted, risk_of
 from offpiste.runtime.planner import Planner
-from offpiste.simulation.rendering.scene import Scene, world_scene
-from offpiste.simulation.world.world import World, WorldSettings
+from offpiste.simulation.rendering.scene import world_scene
+from offpiste.simulation.world.world import WorldSettings
 
 DEVELOPMENT, TEST = 1, 646
 """First seeds of the courses: everything is chosen on the first, and evaluated on the second."""
 
 WORLDS: Final = ("mojave", "halter-ranch", "coastal-scrub", "dunes")
-"""Course after course."""
+"""Worlds of the courses, in turn."""
 
 NEEDED: Final = (
     "world", "seed", "course", "firm_way", "modes", "final_speed_mps", "commit", "date", *MEASURES, *COUNTED,
 )  # fmt: skip
-"""What is read from results."""
+"""Entries of results that are read."""
 
 
 @dataclass(frozen=True)
@@ -49,13 +49,13 @@ class Entry:
 
     @property
     def row(self) -> str:
-        """What its row is called, which the runs of all seeds share."""
+        """Name of the row, which the runs of all seeds share."""
         more = [self.risk.replace(":", "-")] * (self.risk != "none")
         return f"{'+'.join((self.planner.name, *more))}-{round(1000 * self.latency)}ms"
 
     @property
     def name(self) -> str:
-        """What its folder is called."""
+        """Name of the folder."""
         return f"{self.row}-{self.planner.seed}"
 
 
@@ -64,7 +64,7 @@ def entries(
     latencies: Sequence[float] = (0.0, 0.3),
     risks: Sequence[str] = ("none",),
 ) -> list[Entry]:
-    """All at 0.1 s; of those that know the ground ahead, the first run at other latencies too, each once.
+    """Return all planners at 0.1 s, and the first run that knows the ground ahead also at other latencies, each once.
 
     Args:
         risks: of plans; other ones than none are driven by the runs that have a spread.
@@ -94,19 +94,19 @@ def entries(
 
 
 class Place(NamedTuple):
-    """Where a course lies, and of which kind it is."""
+    """World and kind of a course."""
 
     world: WorldSettings
     kind: str
 
     @property
     def name(self) -> str:
-        """What the folder of a drive on it is called."""
+        """Name of the folder of a drive on it."""
         return f"{self.kind}-{self.world.preset}-{self.world.seed}"
 
 
 def places(first: int, courses: int, kinds: Sequence[str] = ("bends",)) -> list[Place]:
-    """Worlds and kinds of so many courses, of seeds from `first` on; kinds and worlds in turn."""
+    """Return worlds and kinds of some courses, with seeds from `first` on; kinds and worlds in turn."""
     numbers = range(courses)
     return [Place(WorldSettings(WORLDS[n % len(WORLDS)], first + n), kinds[n % len(kinds)]) for n in numbers]
 
@@ -119,7 +119,7 @@ def drive_all(
     *,
     processes: int = 1,
 ) -> list[dict[str, Any]]:
-    """Drive what is not driven yet; returns all results. Worlds without a course of their kind are left out.
+    """Drive missing courses; return all results. Worlds without a course of their kind are left out.
 
     Args:
         processes: courses that are driven at a time, each by all planners.
@@ -159,17 +159,13 @@ def _drive_rows(
     world = course_world(*place)
     scene = world_scene(world)
     for number, row in enumerate(rows):
-        drive = _on_course(_of_entry(settings, row), place)
-        message.append(_driven(row, drive, _folder(row, place, out), world, scene))
+        drive, folder = _on_course(_of_entry(settings, row), place), _folder(row, place, out)
+        shutil.rmtree(folder, ignore_errors=True)  # left by an interrupted drive
+        with redirect_stderr(io.StringIO()):  # progress bars of parallel drives would overlap
+            result = drive_course(row.planner, drive, folder, world=world, scene=scene).result
+        message.append(f"{row.name}: {described(result)}")
         report((number + 1) / len(rows))
     return "\n".join(message)
-
-
-def _driven(row: Entry, drive: CourseDriveSettings, folder: Path, world: World, scene: Scene) -> str:
-    shutil.rmtree(folder, ignore_errors=True)  # what an interrupted drive left
-    with redirect_stderr(io.StringIO()):  # a bar of its own would run into those of others
-        result = drive_course(row.planner, drive, folder, world=world, scene=scene).result
-    return f"{row.name}: {described(result)}"
 
 
 def _of_entry(settings: CourseDriveSettings, row: Entry) -> CourseDriveSettings:
@@ -185,7 +181,7 @@ def _folder(row: Entry, place: Place, out: Path) -> Path:
 
 
 def _finished_result(row: Entry, place: Place, out: Path, settings: CourseDriveSettings) -> dict[str, Any] | None:
-    """The result of a drive that is there already."""
+    """Return the result of a finished drive, if any."""
     folder = _folder(row, place, out)
     path = folder / "result.json"
     if not path.exists():
@@ -198,7 +194,7 @@ def _finished_result(row: Entry, place: Place, out: Path, settings: CourseDriveS
 
 
 def _read(path: Path, needed: Sequence[str]) -> dict[str, Any]:
-    """What a drive wrote, if all that is needed is there."""
+    """Read the result of a drive, with all needed entries."""
     how = "remove it, and the course is driven again"
     try:
         result = json.loads(path.read_text("utf-8"))

@@ -9,11 +9,11 @@ from experiments.closed_loop_table.table import COUNTED, paired, table
 def test_intervals_of_a_known_difference():
     rng = np.random.default_rng(0)
     shared = rng.normal(30, 10, 200)
-    found = paired((shared + rng.normal(-1.0, 1.0, 200))[None], shared[None], 1)
+    found = paired((shared + rng.normal(-1.0, 1.0, 200))[None], shared[None])
     # 1.96 sigma / sqrt(n), whatever courses have in common.
     assert found.mean == pytest.approx(-1.0, abs=0.2)
-    assert found.high - found.low == pytest.approx(2 * 1.96 / np.sqrt(200), rel=0.2)
-    assert found.low < found.mean < found.high
+    assert np.ptp(found.ci95) == pytest.approx(2 * 1.96 / np.sqrt(200), rel=0.2)
+    assert found.ci95[0] < found.mean < found.ci95[1]
 
 
 def result(row, seed, time, finished=True, run_seed=0, kind="bends", firm=None):
