@@ -9,7 +9,7 @@ for longer than its figures, takes of each model the run with the least validati
 
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
@@ -56,7 +56,7 @@ ABOUT: Final = {
     "oracle": "`df` on the simulator's own friction, stiffness and resistances: what knowing the ground could bring.",
 }
 LOOKUP: Final = {"oracle": "the whole map of the true ground, which no vehicle has"}
-"""On which map a model's ground is read; on the vehicle's, where there is no entry."""
+"""Map on which a model's ground is read; without an entry, the vehicle's."""
 NOT_FOR: Final = (
     "A real vehicle. All data are simulated: one vehicle of 1150 kg, its poses without drift, its "
     "sensors mounted as said and in time.",
@@ -84,12 +84,14 @@ class PretrainedModels:
     """Folder that is replaced."""
 
     def run(self) -> str:
-        """Make what is missing, choose, evaluate, write."""
+        """Train missing models, choose, evaluate, write."""
         reproduce(ReproductionSettings("fig4", sized(self.size, seeds=self.seeds), self.reproduction))
         of = open_reproduction(self.reproduction)
         claim_folder(self.controls, {"reproduction": str(self.reproduction.resolve())})
         models = list(candidates(of, self.controls, self.epochs))
-        groups = list(groups_of(of))
+        windows = Windows(of.dataset, "test")
+        index = evaluation_windows(windows, MAP, of.size.stride)
+        groups = {"all": np.ones(len(index), bool), **strata(windows, index)}
         shutil.rmtree(self.out, ignore_errors=True)
         blind = next(model for model in models if model.name == BASELINE)
         for model in models:
@@ -115,7 +117,7 @@ class Candidates:
 
     @property
     def chosen(self) -> int:
-        """Which run has the least validation loss."""
+        """Index of the run with the smallest validation loss."""
         return int(np.argmin([validation_loss(each.folder) for each in self.runs]))
 
     @property
@@ -125,7 +127,7 @@ class Candidates:
 
 
 def candidates(of: Reproduced, controls: Path, epochs: int) -> Iterator[Candidates]:
-    """All models that ship, trained and evaluated on the reproduction's test windows.
+    """Yield all models that ship, trained and evaluated on the reproduction's test windows.
 
     Args:
         epochs: of each.
@@ -150,7 +152,7 @@ def candidates(of: Reproduced, controls: Path, epochs: int) -> Iterator[Candidat
 
 
 def validation_loss(folder: Path) -> float:
-    """Least validation loss of a run's last stage.
+    """Return the smallest validation loss of a run's last stage.
 
     Raises:
         RunError: the run has no record of it.
@@ -163,29 +165,21 @@ def validation_loss(folder: Path) -> float:
         raise RunError(f"has no validation loss ({error!r})", where=path, how="train again") from error
 
 
-def groups_of(of: Reproduced) -> Iterator[tuple[str, Bool[np.ndarray, " n"]]]:
-    """Names of groups of the evaluated windows, and which windows are in each: all, by speed, by kind of world."""
-    windows = Windows(of.dataset, "test")
-    index = evaluation_windows(windows, MAP, of.size.stride)
-    yield "all", np.ones(len(index), bool)
-    yield from strata(windows, index).items()
-
-
 def card_of(
     model: Candidates,
     blind: Candidates | None,
-    groups: Sequence[tuple[str, Bool[np.ndarray, " n"]]],
+    groups: Mapping[str, Bool[np.ndarray, " n"]],
     dataset: Dataset,
 ) -> ModelCard:
-    """The card of the run that ships.
+    """Return the card of the run that ships.
 
     Args:
-        blind: the baseline that it is compared with.
-        groups: names, and which windows are in each.
+        blind: baseline of the comparison.
+        groups: masks of the evaluated windows by name: all, by speed, by kind of world.
     """
     base = None if blind is None else [blind.errors[blind.chosen]]
     mine = [model.errors[model.chosen]]
-    figures = [figures_of(name, mine, base, chosen) for name, chosen in groups if chosen.sum() >= FEWEST]
+    figures = [figures_of(name, mine, base, chosen) for name, chosen in groups.items() if chosen.sum() >= FEWEST]
     seconds = [DT * sum(int((drive.part == part).sum()) for drive in dataset.drives) for part in range(len(PARTS))]
     counts = [sum(bool((drive.part == part).any()) for drive in dataset.drives) for part in range(len(PARTS))]
     kind = "simulated driving, every drive in a world of its own"
@@ -201,7 +195,7 @@ def card_of(
         commit=commit(),
         date=today(),
         figures=tuple(figures),
-        over_seeds=figures_of("all", model.errors, None if blind is None else blind.errors, groups[0][1]),
+        over_seeds=figures_of("all", model.errors, None if blind is None else blind.errors, groups["all"]),
         not_for=NOT_FOR,
         warnings=tuple(dataset.findings),
     )
@@ -210,7 +204,7 @@ def card_of(
 def figures_of(
     name: str, mine: Sequence[Errors], base: Sequence[Errors] | None, chosen: Bool[np.ndarray, " n"]
 ) -> GroupFigures:
-    """Figures of some of the windows, over all given runs.
+    """Return the figures of some of the windows, over all given runs.
 
     Args:
         base: of the baseline, with as many seeds.
@@ -235,7 +229,7 @@ def keep_uncertainty(run: Run, min_speed: float | None) -> None:
 
 
 def copy_run(run_folder: Path, to: Path) -> None:
-    """Copy weights, uncertainty and description, without what tells of the machine that trained them."""
+    """Copy weights, uncertainty and description, without paths of the machine that trained them."""
     to.mkdir(parents=True)
     for name in (WEIGHTS, SPREAD, MEMORY_BANK):
         if (run_folder / name).exists():
