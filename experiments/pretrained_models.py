@@ -216,7 +216,7 @@ def figures_of(
     gain = None
     if base is not None:
         gain = relative(errors.distance(), runs_of([each.take(index) for each in base]).distance(), drawn)
-    levels = drawn.levels(len(errors.runs))
+    levels = drawn.levels(len(errors.seeds))
     return GroupFigures(name, len(index), levels, PairedDifference(error.mean, error.ci95), gain)
 
 

@@ -15,17 +15,17 @@ from offpiste.dynamics import ConstantMotion, Dynamics
 from offpiste.evaluation.errors import (
     Errors,
     by_seed,
+    errors_of_models,
     load_errors,
     pool,
     positions,
-    prediction_errors,
     save_errors,
     trajectories,
 )
 from offpiste.training import prediction
 from window_errors import BASE, changed
 
-UNITS = {"scale": torch.tensor([4.0, 1.0, 1.0, 1.0, 1.0]), "weights": torch.ones(5)}
+SCALE = torch.tensor([4.0, 1.0, 1.0, 1.0, 1.0])
 
 
 def circling(start: str = "smoothed") -> Windows:
@@ -38,8 +38,10 @@ def off(*by: float) -> Dynamics:
     return changed(ConstantMotion, lambda moved, before, step: moved + torch.tensor(by))
 
 
-def errors_of(model: Dynamics, windows: Windows) -> Errors:
-    return prediction_errors(model, windows, windows.every(100), lookup=None, **UNITS)
+def errors_of(model: Dynamics, windows: Windows, index: np.ndarray | None = None) -> Errors:
+    index = windows.every(100) if index is None else index
+    (found,) = errors_of_models([(model, torch.ones(5))], windows, index, lookup=None, scale=SCALE)
+    return found
 
 
 def test_a_perfect_model_has_no_errors() -> None:
@@ -75,9 +77,9 @@ def test_distance_and_loss_of_a_standing_prediction() -> None:
 def test_chunks_do_not_matter_and_windows_keep_their_identity(monkeypatch: pytest.MonkeyPatch) -> None:
     windows = circling("causal")
     index = windows.every(20)[::-1]
-    whole = prediction_errors(ConstantMotion(COMMANDED), windows, index, lookup=None, **UNITS)
+    whole = errors_of(ConstantMotion(COMMANDED), windows, index)
     monkeypatch.setattr(prediction, "AT_ONCE", 3)
-    pieces = prediction_errors(ConstantMotion(COMMANDED), windows, index, lookup=None, **UNITS)
+    pieces = errors_of(ConstantMotion(COMMANDED), windows, index)
     np.testing.assert_allclose(whole.values, pieces.values, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(whole.loss, pieces.loss, rtol=1e-4)
     assert whole.row.tolist() == windows.row_in_drive(index).tolist()
@@ -101,7 +103,7 @@ def test_trajectories_have_the_evaluated_errors() -> None:
     windows, model = circling(), off(0.001, 0, 0, 0, 0, 0)
     index = windows.every(60)
     states = trajectories(model, windows, index, lookup=None)
-    found = prediction_errors(model, windows, index, lookup=None, **UNITS)
+    found = errors_of(model, windows, index)
     away = np.linalg.norm(states[:, -1, :2] - windows.gather(index).target.numpy()[:, -1, :2], axis=1)
     np.testing.assert_allclose(away, found.distance(), rtol=1e-5, atol=1e-6)
     assert trajectories(model, windows, index[:0], lookup=None).shape == (0, windows.horizon, 6)

@@ -1,9 +1,9 @@
 """Prediction errors after each second, and their files."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -30,9 +30,12 @@ ERROR_NAMES = ("distance_error_m", "yaw_error_rad", "vx_error_mps", "vy_error_mp
 """Absolute errors; yaw wraps around."""
 
 
+Taken = TypeVar("Taken", bound="Errors")
+
+
 @dataclass(frozen=True)
 class Errors:
-    """Prediction errors by window; infinite if the prediction is not finite.
+    """Prediction errors of a run by window, or of S runs; infinite if the prediction is not finite.
 
     Attributes:
         drive, row: index of each window's drive in the dataset, and row of its start.
@@ -42,8 +45,8 @@ class Errors:
 
     drive: Int[np.ndarray, " n"]
     row: Int[np.ndarray, " n"]
-    values: Float[np.ndarray, "n 5 5"]
-    loss: Float[np.ndarray, " n"]
+    values: Float[np.ndarray, "*S n 5 5"]
+    loss: Float[np.ndarray, "*S n"]
 
     @property
     def key(self) -> Int[np.ndarray, " n"]:
@@ -51,21 +54,22 @@ class Errors:
         return np.asarray(self.drive.astype(np.int64) << 32 | self.row)
 
     @property
-    def failed(self) -> Bool[np.ndarray, "n 5"]:
+    def failed(self) -> Bool[np.ndarray, "*S n 5"]:
         """Whether the prediction is not finite, by window and horizon."""
-        return np.asarray(~np.isfinite(self.values).all(axis=2))
+        return np.asarray(~np.isfinite(self.values).all(axis=-1))
 
-    def component(self, name: str, horizon: int = -1) -> Float[np.ndarray, " n"]:
+    def component(self, name: str, horizon: int = -1) -> Float[np.ndarray, "*S n"]:
         """Return one of `ERROR_NAMES` at an index of `HORIZONS`, or the "loss" over all steps."""
-        return self.loss if name == "loss" else self.values[:, horizon, ERROR_NAMES.index(name)]
+        return self.loss if name == "loss" else self.values[..., horizon, ERROR_NAMES.index(name)]
 
-    def distance(self) -> Float[np.ndarray, " n"]:
+    def distance(self) -> Float[np.ndarray, "*S n"]:
         """Return the distance error at the last horizon [m]."""
         return self.component("distance_error_m")
 
-    def take(self, index: Int[np.ndarray, " m"]) -> "Errors":
+    def take(self: Taken, index: Int[np.ndarray, " m"]) -> Taken:
         """Return the errors of some windows."""
-        return Errors(self.drive[index], self.row[index], self.values[index], self.loss[index])
+        values, loss = self.values[..., index, :, :], self.loss[..., index]
+        return replace(self, drive=self.drive[index], row=self.row[index], values=values, loss=loss)
 
 
 def pool(runs: Sequence[Errors]) -> Errors:
@@ -83,53 +87,26 @@ def pool(runs: Sequence[Errors]) -> Errors:
 
 
 @dataclass(frozen=True)
-class SeededErrors:
+class SeededErrors(Errors):
     """Errors of a model's runs on the same windows in ascending order, one run per seed.
 
     Attributes:
         seeds: of the runs; None if unknown.
     """
 
-    runs: tuple[Errors, ...]
     seeds: tuple[int | None, ...]
-
-    @property
-    def drive(self) -> Int[np.ndarray, " n"]:
-        """Index of each window's drive."""
-        return self.runs[0].drive
-
-    @property
-    def row(self) -> Int[np.ndarray, " n"]:
-        """Row of each window's start in its drive."""
-        return self.runs[0].row
 
     @property
     def mean(self) -> Errors:
         """Mean of each window over the seeds."""
-        return pool(self.runs)
-
-    def component(self, name: str, horizon: int = -1) -> Float[np.ndarray, "S n"]:
-        """Return one of `ERROR_NAMES` at an index of `HORIZONS`, or the "loss" over all steps."""
-        return np.stack([run.component(name, horizon) for run in self.runs])
-
-    def distance(self) -> Float[np.ndarray, "S n"]:
-        """Return the distance error at the last horizon [m]."""
-        return self.component("distance_error_m")
-
-    @property
-    def loss(self) -> Float[np.ndarray, "S n"]:
-        """Loss over all steps."""
-        return self.component("loss")
-
-    def take(self, index: Int[np.ndarray, " m"]) -> "SeededErrors":
-        """Return the errors of some windows."""
-        return SeededErrors(tuple(run.take(index) for run in self.runs), self.seeds)
+        return Errors(self.drive, self.row, self.values.mean(axis=0), self.loss.mean(axis=0))
 
     def of_seed(self, seed: int | None) -> "SeededErrors":
         """Return the run of a seed, or all runs if there is none."""
         if seed is None or seed not in self.seeds:
             return self
-        return SeededErrors((self.runs[self.seeds.index(seed)],), (seed,))
+        run = [self.seeds.index(seed)]
+        return replace(self, values=self.values[run], loss=self.loss[run], seeds=(seed,))
 
 
 def by_seed(runs: Sequence[Errors], seeds: Sequence[int | None]) -> SeededErrors:
@@ -140,13 +117,14 @@ def by_seed(runs: Sequence[Errors], seeds: Sequence[int | None]) -> SeededErrors
     different = sorted(set(seeds), key=lambda seed: (seed is not None, seed))
     together = [pool([run for run, own in zip(runs, seeds, strict=True) if own == seed]) for seed in different]
     if any(not np.array_equal(run.key, together[0].key) for run in together):
-        return SeededErrors((pool(runs),), (None,))
-    return SeededErrors(tuple(together), tuple(different))
+        together, different = [pool(runs)], [None]
+    values, loss = np.stack([run.values for run in together]), np.stack([run.loss for run in together])
+    return SeededErrors(together[0].drive, together[0].row, values, loss, tuple(different))
 
 
-def positions(windows: SeededErrors, among: SeededErrors) -> Int[np.ndarray, " n"]:
+def positions(windows: Errors, among: Errors) -> Int[np.ndarray, " n"]:
     """Return the indices of windows in `among`, which contains all of them in ascending order."""
-    have, wanted = among.runs[0].key, windows.runs[0].key
+    have, wanted = among.key, windows.key
     result = np.searchsorted(have, wanted)
     assert np.array_equal(have[np.minimum(result, len(have) - 1)], wanted), "not the same windows"
     return np.asarray(result)
@@ -184,18 +162,6 @@ def errors_of_models(
     drive, row = windows.drive[index], windows.row_in_drive(index)
     measured = ((_infinite_if_failed(torch.cat(of)) for of in both) for both in zip(values, losses, strict=True))
     return [Errors(drive, row, *both) for both in measured]
-
-
-def prediction_errors(
-    dynamics: Dynamics, windows: Windows, index: Int[np.ndarray, " n"], *, weights: Float[Tensor, " 5"], **settings: Any
-) -> Errors:
-    """Compute the prediction errors of one model.
-
-    Args:
-        weights: weights of the loss's components.
-        settings: keyword arguments of `errors_of_models`.
-    """
-    return errors_of_models([(dynamics, weights)], windows, index, **settings)[0]
 
 
 @torch.no_grad()

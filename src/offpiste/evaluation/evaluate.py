@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +20,7 @@ from offpiste.dataset.splits import Split
 from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS, Dynamics, Vehicle
-from offpiste.evaluation.errors import Errors, prediction_errors
+from offpiste.evaluation.errors import Errors, errors_of_models
 from offpiste.evaluation.evaluated_windows import EvaluatedWindows, share_driven_in_training
 from offpiste.evaluation.intervals import Sampling
 from offpiste.evaluation.metrics import (
@@ -141,12 +140,12 @@ def evaluate_models(
     groups = by_split(models, dataset)
     datasets = [each for each, _ in groups]
     readings = readings_of(datasets, part, lookups, feature_sets)
-    compute = partial(prediction_errors, scale=scale, weights=torch.tensor(weights.in_order()))
     predictions, cases = list[Prediction](), dict[Case, list[RunErrors]]()
     for case, model, windows in _every_reading(groups, part, starts, readings, device):
         name = " ".join(filter(None, ("evaluating", case.label, case.start, case.lookup, case.feature_set)))
         index = windows.evaluation_indices(stride)
-        errors = compute(model.dynamics, windows, index, lookup=case.lookup, description=name)
+        weighted = [(model.dynamics, torch.tensor(weights.in_order()))]
+        (errors,) = errors_of_models(weighted, windows, index, lookup=case.lookup, scale=scale, description=name)
         predictions.append(Prediction(case, model, windows, errors))
         cases.setdefault(case, []).append(RunErrors(model.seed, model.fold, errors))
     together = seeded(cases)

@@ -269,7 +269,7 @@ def _rows(
             horizon_s=float(seconds),
             n=len(errors.row),
             n_failed=int(run.errors.failed[:, h].sum()),
-            levels=drawn.levels(len(errors.runs)),
+            levels=drawn.levels(len(errors.seeds)),
             loss=loss,
             minus={
                 label: Minus(minus(other, "distance_error_m", h), loss_minus[label]) for label, other in others.items()
@@ -296,7 +296,7 @@ def headlines(cases: Cases, sampling: Sampling) -> list[Headline]:
                 lookup=case.lookup,
                 feature_set=case.feature_set,
                 runs=len(cases[case]),
-                levels=drawn.levels(len(errors.runs)),
+                levels=drawn.levels(len(errors.seeds)),
                 distance_error_m=float(errors.distance().mean()),
                 other=REFERENCE,
                 relative=ratio.mean,
@@ -333,7 +333,7 @@ def band_rows(errors: Mapping[Case, SeededErrors], windows: EvaluatedWindows, sa
                     horizon_s=float(seconds),
                     n=int(mine.sum()),
                     distance_error_m=summary(some.component("distance_error_m", h), drawn),
-                    levels=drawn.levels(len(some.runs)),
+                    levels=drawn.levels(len(some.seeds)),
                 )
                 for h, seconds in enumerate(HORIZONS)
             ]

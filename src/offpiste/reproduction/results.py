@@ -86,7 +86,7 @@ class FigureResults:
     def levels(self, reading: Reading) -> Levels:
         """Return the numbers of drives, blocks and seeds of the baseline."""
         errors = self.errors(BASELINE, reading)
-        return self.sampling.on(errors).levels(len(errors.runs))
+        return self.sampling.on(errors).levels(len(errors.seeds))
 
     def rows(self) -> list[ResultRow]:
         """Return the rows of metrics.json."""
@@ -116,7 +116,7 @@ class FigureResults:
             lookup=str(reading[0]),
             feature_set=reading[1],
             n=len(mine.row),
-            levels=drawn.levels(len(mine.runs)),
+            levels=drawn.levels(len(mine.seeds)),
             relative={name: relative(mine.component(name), others.component(name), drawn) for name in QUANTITIES},
         )
 
