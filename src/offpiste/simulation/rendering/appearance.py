@@ -11,29 +11,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from offpiste.logs.ground_truth import GROUND_KINDS
+from offpiste.simulation.rendering import shading
 from offpiste.simulation.rendering.scene import BODY, Scene
-from offpiste.simulation.rendering.shading import (
-    BLADES,
-    BUMPS,
-    CHANNELS,
-    COARSE,
-    FINE,
-    GLOSS,
-    HIGH,
-    LOW,
-    MOST_RELIEF,
-    OPEN,
-    RIPPLES,
-    STONES,
-    SUN,
-    TRAIL,
-    TRAIL_REACH,
-    WAVELENGTHS,
-    GroundTexture,
-    Light,
-    octave_turns,
-    random_lattice,
-)  # fmt: skip
+from offpiste.simulation.rendering.shading import GroundTexture, Light, octave_turns, random_lattice
 from offpiste.simulation.world.grids import Grid, normals_of, smooth_noise, smooth_step
 from offpiste.simulation.world.ground import colour_table, grounds
 from offpiste.simulation.world.world import World
@@ -109,7 +89,7 @@ def make_appearance(world: World, scene: Scene, drive_seed: int) -> Appearance:
     noise = world.settings.appearance_noise
     of_world, of_drive = np.random.default_rng([world.settings.seed, 5]), np.random.default_rng([drive_seed, 6])
     light, turn = draw_light(of_drive, noise), octave_turns(of_world)
-    unit = turn * WAVELENGTHS[:, None]
+    unit = turn * shading.WAVELENGTHS[:, None]
     # The sun's direction, rotated like each octave: x' = cos x + sin y, y' = cos y - sin x.
     sun = np.stack((unit @ light.sun[:2], unit @ np.array((light.sun[1], -light.sun[0]))), axis=1)
     leaves = np.exp(np.clip(noise * of_world.normal(0, 0.08, (len(PLANTS), 3)), -0.4, 0.4))
@@ -136,7 +116,7 @@ def _nodes(
 ) -> UInt8[np.ndarray, "ny nx c"]:
     """Return `GroundTexture.nodes`."""
     noise, resolution = world.settings.appearance_noise, world.resolution
-    nodes = np.empty((*world.elevation.shape, CHANNELS), np.uint8)
+    nodes = np.empty((*world.elevation.shape, shading.CHANNELS), np.uint8)
     shares = np.square(world.kinds, dtype=np.float32)
     shares /= shares.sum(axis=0)
 
@@ -146,19 +126,19 @@ def _nodes(
     bright, warm = (0.12 * noise * np.clip(patch, -3, 3) for patch in patches)
     for channel, (dry, wet) in enumerate(_colours(of_world, noise).transpose(2, 0, 1, 3)):
         tint = np.exp(bright + (0.5, 0.0, -0.5)[channel] * warm)
-        for first, shift in ((LOW, 0), (HIGH, 1)):
+        for first, shift in ((shading.LOW, 0), (shading.HIGH, 1)):
             mixed = _mix(shares, dry[shift]) * (1 - world.wetness) + _mix(shares, wet[shift]) * world.wetness
             nodes[..., first + channel] = _byte(np.sqrt(mixed * tint))
 
-    channels = {"fine": FINE, "coarse": COARSE, "bumps": BUMPS, "stones": STONES, "blades": BLADES, "ripples": RIPPLES}
-    for name, channel in channels.items():
-        full = MOST_RELIEF if channel <= BUMPS else 1.0
+    names = ("fine", "coarse", "bumps", "stones", "blades", "ripples")
+    for channel, name in enumerate(names, start=shading.FINE):
+        full = shading.MOST_RELIEF if channel <= shading.BUMPS else 1.0
         texture = np.array([ground["texture"].get(name, 0.0) for ground in grounds()])
         nodes[..., channel] = _byte(_mix(shares, texture / full))
-    nodes[..., GLOSS] = _byte(world.wetness**2 * (0.15 + 0.45 * shares[GROUND_KINDS.index("mud")]))
-    nodes[..., TRAIL] = _byte(_distance_to_trails(world) / TRAIL_REACH)
-    for channel, light_there in zip((SUN, OPEN), sunlit_ground(world, scene, light, of_drive), strict=True):
-        nodes[..., channel] = _byte(light_there)
+    nodes[..., shading.GLOSS] = _byte(world.wetness**2 * (0.15 + 0.45 * shares[GROUND_KINDS.index("mud")]))
+    nodes[..., shading.TRAIL] = _byte(_distance_to_trails(world) / shading.TRAIL_REACH)
+    on_ground, above = sunlit_ground(world, scene, light, of_drive)
+    nodes[..., shading.SUN], nodes[..., shading.OPEN] = _byte(on_ground), _byte(above)
     return nodes
 
 
