@@ -27,10 +27,10 @@ SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 """A leak, and an access out of bounds, end the program with an error."""
 
 
-def compiled_and_run(folder):
-    command = ["gcc", "-std=c99", "-O1", *SANITIZED, "-Wall", "-Wextra", "-Werror", "example.c", "-o", "example", "-lm"]
-    made = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-    assert made.returncode == 0, made.stderr[:2000]
+def compiled_and_run(folder, *compiler):
+    compiler = compiler or ("gcc", "-std=c99", "-O1", *SANITIZED, "-Wall", "-Wextra", "-Werror", "example.c")
+    made = subprocess.run([*compiler, "-o", "example", "-lm"], cwd=folder, capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr[:3000]
     return subprocess.run(["./example", "parity.bin"], cwd=folder, capture_output=True, text=True)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from exports.test_c_files import write_example
+from exports.test_c_files import compiled_and_run, write_example
 from host_kernels import needs_gcc
 from offpiste.exports.formats import export
 from offpiste.exports.parity import parity_bytes
@@ -16,17 +16,14 @@ STAND_IN = Path(__file__).parent / "stand_in"
 pytestmark = needs_gcc
 
 
-def compiled_and_run(folder, source="drive.cu"):
-    flags = ["-std=c++17", "-O0", "-Wall", "-Wno-unused-function", "-Werror", "-I", str(STAND_IN), "-I", str(folder)]
-    command = ["g++", *flags, "-x", "c++", str(source), "-o", "program", "-lm"]
-    made = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-    assert made.returncode == 0, made.stderr[:3000]
-    return subprocess.run(["./program", "parity.bin"], cwd=folder, capture_output=True, text=True)
+def driven(folder, source="drive.cu"):
+    flags = ("-std=c++17", "-O0", "-Wall", "-Wno-unused-function", "-Werror", "-I", str(STAND_IN), "-I", str(folder))
+    return compiled_and_run(folder, "g++", *flags, "-x", "c++", str(source))
 
 
 def test_the_exported_dynamics_drives_5_s_and_agrees_with_predictions(tmp_path):
     export("pretrained:proving-ground/dc", tmp_path / "out", "mppi-generic")
-    ran = compiled_and_run(tmp_path / "out")
+    ran = driven(tmp_path / "out")
     assert ran.returncode == 0, ran.stdout
     assert float(ran.stdout.split("at most ")[1].split()[0]) < 2e-4
     readme = (tmp_path / "out" / "README.md").read_text()
@@ -39,10 +36,10 @@ def test_the_exported_dynamics_drives_5_s_and_agrees_with_predictions(tmp_path):
 def test_every_kind_of_model_drives_on_the_host_and_as_a_gpu_would(kind, tmp_path):
     names = ("offpiste_dynamics.cuh", "offpiste_cost.cuh", "drive.cu", "parity.h")
     case = write_example(kind, tmp_path, names, drives=4, steps=60)
-    ran = compiled_and_run(tmp_path)
+    ran = driven(tmp_path)
     assert ran.returncode == 0, ran.stdout
     (tmp_path / "parity.bin").write_bytes(parity_bytes(replace(case, expected=case.expected + 0.01)))
-    assert subprocess.run(["./program"], cwd=tmp_path, capture_output=True).returncode == 1
-    device = compiled_and_run(tmp_path, STAND_IN / "device.cu").stdout.split()
+    assert subprocess.run(["./example"], cwd=tmp_path, capture_output=True).returncode == 1
+    device = driven(tmp_path, STAND_IN / "device.cu").stdout.split()
     assert device[:6] == ["refused", "1", "taken", "1", "within", "1"]
     assert float(device[7]) < 1e-5
