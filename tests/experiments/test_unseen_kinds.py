@@ -1,21 +1,16 @@
 """Kinds of ground that are held out of training: which rows and windows that leaves, and how they are evaluated."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from experiments.unseen_kinds import (
-    chosen_kinds,
-    rows_of,
-    without_kind,
-)
+from experiments.unseen_kinds import chosen_kinds, nearest_kinds, rows_of, without_kind
 from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.core.conventions import HORIZON_STEPS
 from offpiste.core.errors import DatasetError
 from offpiste.dataset.splits import PARTS
-from offpiste.dataset.store import Dataset, StoredDrive
+from offpiste.dataset.store import Dataset
 from offpiste.dataset.windows import Windows
 from offpiste.logs.ground_truth import GROUND_KINDS
 from offpiste.simulation.world.ground import property_table
@@ -34,14 +29,14 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return with_snapshots(dataset_with_features(folder / "dataset.zarr"), folder / "snapshots", [200])
 
 
-def on_ground(drive: StoredDrive, kind_of_cell: np.ndarray) -> StoredDrive:
-    """The same drive, whose cells are of some kinds, a little mixed with the next one."""
+def test_ground_of_a_kind_at_any_wetness_and_a_little_mixed_is_of_that_kind() -> None:
     dry, wet = property_table()
-    mine, other = dry[kind_of_cell], wet[(kind_of_cell + 1) % len(dry)]
-    properties = (0.95 * mine + 0.05 * other).astype(np.float16)
-    shape = (len(drive.rows.cells.features), *properties.shape)
-    cells = replace(drive.rows.cells, features=np.broadcast_to(properties, shape))
-    return replace(drive, rows=replace(drive.rows, cells=cells))
+    numbers = np.arange(len(GROUND_KINDS))
+    for wetness in (0.0, 0.4, 1.0):
+        pure = (1 - wetness) * dry + wetness * wet
+        np.testing.assert_array_equal(nearest_kinds(pure), numbers)
+    mixed = 0.95 * dry + 0.05 * np.roll(wet, -1, axis=0)
+    np.testing.assert_array_equal(nearest_kinds(mixed), numbers)
 
 
 def test_windows_that_touch_the_kind_train_nothing_and_test_everything(dataset: Dataset) -> None:

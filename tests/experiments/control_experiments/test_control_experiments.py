@@ -1,17 +1,23 @@
-"""Controls from end to end on a made-up reproduction: tables, files, and what is used again."""
+"""Control experiments from end to end on a made-up reproduction: gains, files, reused results."""
 
+import json
 import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from experiments.control_experiments.__main__ import ControlExperiment
 from experiments.control_experiments.reproduced import open_reproduction
 from experiments.control_experiments.runs import trained
+from experiments.control_experiments.strata import strata, strata_control
 from feature_datasets import dataset_with_features
 from offpiste.core.errors import RunError
+from offpiste.dataset.windows import Windows
+from offpiste.evaluation.evaluated_windows import BANDS, REVERSE
+from offpiste.reproduction.runs import errors_path
 from offpiste.reproduction.settings import Size
 from offpiste.training.checkpoint import load_json, save_json
 from offpiste.training.config import TrainConfig
@@ -79,3 +85,22 @@ def test_experiments_refuse_a_reproduction_that_was_made_anew_with_another_size(
     save_json(out / "settings.json", older | {"size": older["size"] | {"stride": 7}})
     with pytest.raises(RunError, match=r"was begun with other settings \(size.stride\)"):
         ControlExperiment("strata", folder, out).run()
+
+
+def test_gains_by_speed_world_and_seed_from_errors_that_are_found_once(reproduction: Path, tmp_path: Path) -> None:
+    shutil.copytree(reproduction, tmp_path / "reproduced")
+    of = open_reproduction(tmp_path / "reproduced")
+    windows = Windows(of.dataset, "test")
+    found = strata(windows, np.arange(len(windows)))
+    bands = {REVERSE, *(band.name for band in BANDS)}
+    assert sum(among.sum() for name, among in found.items() if name in bands) == len(windows)
+    assert found["circle"].all()
+    page = strata_control(of, tmp_path / "controls")
+    gains = json.loads((page.parent / "control.json").read_text("utf-8"))["gains"]
+    assert [gain["lookup"] for gain in gains if not gain["case"]] == ["map", *["recorded"] * 4]
+    whole, seed = gains[0], next(gain for gain in gains if gain["case"] == "seed 0")
+    assert seed["error_m"] == whole["error_m"], "one seed is all of them"
+    kept = errors_path(of.folder / "runs" / "b-0", ("map", None))
+    written = kept.stat().st_mtime_ns
+    strata_control(of, tmp_path / "controls")
+    assert kept.stat().st_mtime_ns == written
