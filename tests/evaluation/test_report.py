@@ -6,15 +6,16 @@ from offpiste.evaluation.errors import Errors
 from offpiste.evaluation.intervals import Levels, Sampling
 from offpiste.evaluation.metrics import Case, Headline, ResultRow, RunErrors, pooled_rows, result_rows, single_rows
 from offpiste.evaluation.report import difference_text, drawn_from, headline_text
+from window_errors import errors as of_distances
 
 NAMES = ("b", "dc")
 
 
 def errors(failed: tuple[int, ...] = (), *, windows: int = 10) -> Errors:
     """Of five drives, one window a block; some predictions are not finite."""
-    values, loss = np.ones((5 * windows, 5, 5)), np.ones(5 * windows)
-    values[list(failed), -1], loss[list(failed)] = np.inf, np.inf
-    return Errors(np.repeat(np.arange(5), windows), np.tile(np.arange(windows) * 600 + 20, 5), values, loss)
+    distance = np.ones(5 * windows)
+    distance[list(failed)] = np.inf
+    return of_distances(distance, drives=5, every=600)
 
 
 def rows(*runs: list[Errors]) -> list[ResultRow]:

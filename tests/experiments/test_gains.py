@@ -17,7 +17,7 @@ from offpiste.evaluation.intervals import PairedDifference, Sampling
 from offpiste.reproduction.results import HINDSIGHT, MAP
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import Stretch, load_run, save_run, vehicle_of
-from window_errors import BASE, ROW, errors
+from window_errors import BASE, errors
 
 
 def test_a_gain_compares_seeds_in_pairs_and_averages_them_by_window() -> None:
@@ -25,7 +25,7 @@ def test_a_gain_compares_seeds_in_pairs_and_averages_them_by_window() -> None:
     assert found.distance.mean == pytest.approx(-0.25)
     assert found.distance.ci95 == pytest.approx((-0.25, -0.25))
     assert found.loss.mean == pytest.approx(0.75**2 - 1)
-    assert (found.n, found.levels.seeds, found.lookup) == (len(ROW), 1, "map")
+    assert (found.n, found.levels.seeds, found.lookup) == (len(BASE.row), 1, "map")
     both = [errors(0.5 * BASE.distance()), errors(1.5 * BASE.distance())]
     assert gain("", "dc", both, [BASE], MAP).distance.mean == pytest.approx(0.0, abs=1e-12)
     others = [BASE, errors(9.0 * BASE.distance())]
@@ -42,7 +42,7 @@ def test_share_of_the_oracle_by_hand() -> None:
     assert reached.mean == pytest.approx(0.4)
     assert reached.ci95 == pytest.approx((0.4, 0.4))
     assert np.isnan(shared(better, BASE, errors(1.1 * BASE.distance()), BASE).mean), "an oracle without a gain"
-    broken = errors(np.where(ROW == 0, np.inf, BASE.distance()))
+    broken = errors(np.where(BASE.row == 0, np.inf, BASE.distance()))
     assert np.isnan(shared(broken, BASE, BASE, BASE).mean)
 
 

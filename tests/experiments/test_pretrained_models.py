@@ -6,23 +6,16 @@ import pytest
 from experiments import pretrained_models
 from experiments.pretrained_models import figures_of
 from feature_datasets import dataset_with_features
-from offpiste.evaluation.errors import Errors
 from offpiste.training.config import TrainConfig
 from offpiste.training.run import load_run
 from offpiste.training.train import train
 from offpiste.uncertainty.fit import load_spread
-
-
-def errors(distance):
-    """Windows of four drives whose distance errors after 5 s are given."""
-    n = len(distance)
-    values = np.zeros((n, 5, 5))
-    values[:, -1, 0] = distance
-    return Errors(np.repeat(np.arange(4), n // 4), np.tile(np.arange(n // 4) * 1000, 4), values, np.ones(n))
+from window_errors import errors
 
 
 def test_figures_are_of_the_windows_in_the_group_alone():
-    base, mine = errors(np.full(40, 2.0)), errors(np.where(np.arange(40) % 2, 1.0, 3.0))
+    distances = np.full(40, 2.0), np.where(np.arange(40) % 2, 1.0, 3.0)
+    base, mine = (errors(distance, drives=4, every=1000) for distance in distances)
     odd = np.arange(40) % 2 == 1
     found = figures_of("odd", [mine], [base], odd)
     assert (found.group, found.windows, found.levels.drives) == ("odd", 20, 4)
