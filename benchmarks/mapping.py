@@ -52,9 +52,9 @@ def summary(name: str, times: list[np.ndarray]) -> str:
 def mapping(channels: int, threads: int, scans: int) -> None:
     """Insertion, flattening and lookup."""
     rng = np.random.default_rng(0)
-    settings, flat = VoxelSettings(threads=threads), FlattenSettings()
-    held = VoxelMap(channels, settings)
-    flattener, layers = Flattener(held, flat), None
+    held = VoxelMap(channels, VoxelSettings(threads=threads))
+    flattener = Flattener(held, FlattenSettings())
+    layers = flattener.layers()
     points, distance = scan(rng)
     features, has = rng.normal(size=(len(points), channels)).astype(np.float32), rng.random(len(points)) < 0.8
     inserting, flattening = [], []
@@ -64,16 +64,13 @@ def mapping(channels: int, threads: int, scans: int) -> None:
         seen[:, 2] += 0.5 * np.sin(0.1 * seen[:, 0]) + 0.5 * np.cos(0.07 * seen[:, 1])
         held.recentre(place, 0.0)
         inserting.append(timed(partial(held.insert, seen, features, has, distance)))
-        layers = flattener.layers(layers) if number == 0 else layers
         flattening.append(timed(partial(flattener.layers, layers)))
-    assert layers is not None
     layers = flattener.layers(layers)
     about = f"{layers.observed.mean():.0%} of the cells observed, {layers.known.mean():.0%} known"
     print(f"\n{channels} features, {len(points)} points; {held.occupied} voxels, {about}")
     print(summary("insert", inserting[2:]))
     print(summary("flatten 600 x 600", flattening[2:]))
-    both = [a + b for a, b in zip(inserting, flattening, strict=True)][2:]
-    print(summary("insert + flatten", both))
+    print(summary("insert + flatten", [a + b for a, b in zip(inserting, flattening, strict=True)][2:]))
     wheels(layers)
 
 

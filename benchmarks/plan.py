@@ -242,20 +242,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         WHEELS, torch.zeros(2, dtype=torch.float64), torch.tensor([0.0, 0, 0, 6, 0, 0]), torch.zeros(3),
     )  # fmt: skip
     models = {name: network(name) for name in ("b", "dc")}
-
-    def controls(samples: int) -> Tensor:
-        draw, plan = torch.Generator().manual_seed(0), torch.tensor([0.3, 0.0, 0.0]).repeat(horizon, 1)
-        return limited(sample(plan, replace(settings, samples=samples), draw), settings, at.control)
-
+    plan = torch.tensor([0.3, 0.0, 0.0]).repeat(horizon, 1)
     print(f"{options.threads} threads")
     print(f"a whole plan, K {settings.samples}, T {horizon}")
-    whole_plan(models, at, torch.tensor([0.3, 0.0, 0.0]).repeat(horizon, 1), settings, options.seconds)
+    whole_plan(models, at, plan, settings, options.seconds)
     if options.plan_alone:
         return None
     for name, model in models.items():
         for samples in options.samples:
             print(f"{name}, K {samples}, T {horizon}: rollouts with map and cost", flush=True)
-            compare(model, at, controls(samples), options)
+            wanted = sample(plan, replace(settings, samples=samples), torch.Generator().manual_seed(0))
+            compare(model, at, limited(wanted, settings, at.control), options)
     return None
 
 

@@ -116,17 +116,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return
     physics(world, DT, sampled=True)  # compiles
     for name, sampled in (("physics alone", False), ("physics and samples", True)):
-        ratios = [physics(world, options.seconds, sampled=sampled) for _ in range(options.runs)]
-        report(name, ratios)
+        report(name, [physics(world, options.seconds, sampled=sampled) for _ in range(options.runs)])
     for profile, share in (("none", 1.0), ("light", 0.5), ("full", 0.1))[: 2 if options.smoke else None]:
         suite = sensor_suite(profile)
         sensing = Sensing(world, suite, np.random.default_rng(0)) if suite.lidars else None
         with tempfile.TemporaryDirectory() as folder:
             files = [Path(folder) / f"{run}.mcap" for run in range(options.runs + 1)]
             recorded(world, sensing, 1.0, files[-1])  # compiles
-            report(
-                f"recorded, {profile}", [recorded(world, sensing, share * options.seconds, file) for file in files[:-1]]
-            )
+            ratios = [recorded(world, sensing, share * options.seconds, file) for file in files[:-1]]
+            report(f"recorded, {profile}", ratios)
 
 
 if __name__ == "__main__":
