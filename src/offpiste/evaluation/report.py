@@ -125,20 +125,16 @@ def _notes(metrics: Metrics) -> Iterator[str]:
         if metrics.features
         else "map reads the slope of the later driven path nearest to the predicted place, which no planner has"
     )
-    notes = (
-        Path(__file__)
-        .with_name("notes.txt")
-        .read_text("utf-8")
-        .format(
-            map_reads=map_reads,
-            block=metrics.windows.block_s,
-            least=MIN_UNITS,
-            reference=REFERENCE,
-            units=", ".join(f"{name} {np.sqrt(scale):.3g}" for name, scale in metrics.loss.scale.items()),
-            weights=", ".join(f"{name} {weight:g}" for name, weight in metrics.loss.weights.items()),
-        )
+    notes = Path(__file__).with_name("notes.txt").read_text("utf-8")
+    filled = notes.format(
+        map_reads=map_reads,
+        block=metrics.windows.block_s,
+        least=MIN_UNITS,
+        reference=REFERENCE,
+        units=", ".join(f"{name} {np.sqrt(scale):.3g}" for name, scale in metrics.loss.scale.items()),
+        weights=", ".join(f"{name} {weight:g}" for name, weight in metrics.loss.weights.items()),
     )
-    yield from notes.splitlines()
+    yield from filled.splitlines()
 
 
 def _explained(name: str) -> str:
@@ -356,17 +352,8 @@ def run_table(rows: Sequence[ResultRow]) -> TextTable:
         )
         for row in last_rows(rows)
     ]
-    names = (
-        "model",
-        "start",
-        "seed",
-        "fold",
-        "distance [m]",
-        "median [m]",
-        "loss",
-        f"minus {REFERENCE} [m]",
-        "windows",
-    )
+    errors = ("distance [m]", "median [m]", "loss", f"minus {REFERENCE} [m]")
+    names = ("model", "start", "seed", "fold", *errors, "windows")
     return TextTable("Each run after 5 s", names, lines, left=2)
 
 
