@@ -197,11 +197,12 @@ def wrong(path: Path, rig: Rig) -> list[Finding]:
     return [f for f in inspect_log(open_log(path), rig).findings if f.severity != "note" and f.where != "controls"]
 
 
-def test_a_compass_is_turned_round(tmp_path: Path) -> None:
-    columns: Columns = {"t": ("t", 1), "Easting [m]": ("x", 1), "Northing [m]": ("y", 1)}
-    path = compass(tmp_path / "drive.csv", columns)
+@pytest.mark.parametrize("names", [("Easting [m]", "Northing [m]"), ("xGPS", "yGPS")], ids=" ".join)
+def test_a_compass_is_turned_round(tmp_path: Path, names: tuple[str, str]) -> None:
+    """With x and y exchanged, heading and steering fit as well, in a mirror."""
+    path = compass(tmp_path / "drive.csv", {"t": ("t", 1), names[0]: ("x", 1), names[1]: ("y", 1)})
     rig = drafted(path)
-    assert rig.channels["position"].fields == ("Easting [m]", "Northing [m]")
+    assert rig.channels["position"].fields == names
     inspection = inspect_log(open_log(path))
     cure = {edit.key: edit.value for edit in inspection.cure}
     assert cure == {"channels.yaw.sign": -1, "channels.yaw.offset": -90.0, "channels.steer.sign": -1}

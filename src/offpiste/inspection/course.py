@@ -142,7 +142,10 @@ def against_names(edits: Iterable[Edit], rig: Rig) -> float:
     # A heading read as a compass heading is equally reliable.
     compass = yaw is not None and yaw.sign * turning_sign("yaw", rig.motion.axes) < 0
     named = geographic or all(named_direction(field) for field in fields)
-    return 10.0 if named and not compass else 0.5
+    if named and not compass:
+        return 10.0
+    # A heading that is not a compass's yet may count clockwise, which explains as much as an exchange.
+    return 0.5 if yaw is None or compass else 2.5
 
 
 def _exchanged(rig: Rig) -> list[str]:
