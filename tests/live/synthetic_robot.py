@@ -1,5 +1,6 @@
 """Robot without a simulator: it stands, or drives straight ahead on a plain seen by one LiDAR."""
 
+import re
 from itertools import count
 from pathlib import Path
 
@@ -30,7 +31,7 @@ START = sensor_bags.stamp(0)
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("t", "<u4")])
 RIG = """
 name = "synthetic"
-absent = ["throttle", "brake", "steer", "brake_pressure", "steer_angle", "steer_rate", "engine_rpm"]
+absent = ["throttle", "brake", "steer", "brake_pressure", "steer_angle", "steer_rate", "engine_rpm", ]
 [vehicle]
 mass = 1150.0
 max_steer = 0.5
@@ -62,6 +63,7 @@ type = "ackermann_msgs/msg/AckermannDriveStamped"
 "drive.steering_angle" = { of = "steer", unit = "rad" }
 "drive.speed" = { of = "speed" }
 """
+EARTH = RIG.replace("[channels.position]\n", '[channels.position]\nunit = "lat lon"\norigin = [48.0, 11.0]\n')
 ACTUATORS = """
 [channels.brake_pressure]
 topic = "/odom"
@@ -76,17 +78,24 @@ fields = ["pose.covariance[2]"]
 ENABLE = '[live.enable]\ntopic = "/enable"\n'
 
 
+def rig_text(more=""):
+    """The rig with further entries; channels among them are no longer absent, nor is the rate of a steering angle."""
+    text, names = RIG, re.findall(r"\[channels\.(\w+)\]", more)
+    if "steer_angle" in names:
+        names.append("steer_rate")
+    for name in names:
+        text = text.replace(f'"{name}", ', "", 1)  # the list comes first
+    return text + more
+
+
 def rig(more=""):
-    return parse_rig(RIG + more, where="test")
+    return parse_rig(rig_text(more), where="test")
 
 
 def write_rig(folder: Path, more="", *, actuators=False) -> str:
     """The rig as a file; with actuators, those that the shipped runs read are measured."""
-    text, absent = RIG + more, ', "brake_pressure", "steer_angle", "steer_rate", "engine_rpm"'
-    if actuators:
-        text = text.replace(absent, "").replace("[lidars", ACTUATORS + "[lidars", 1)
     file = folder / "rig.toml"
-    file.write_text(text)
+    file.write_text(rig_text(ACTUATORS * actuators + more))
     return str(file)
 
 

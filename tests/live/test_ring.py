@@ -10,14 +10,13 @@ from dataclasses import is_dataclass
 import numpy as np
 import pytest
 
-from live.synthetic_robot import RIG, plan, rig
+from live.synthetic_robot import plan, rig
 from offpiste.core.errors import LiveError
 from offpiste.live import ring as rings
 from offpiste.live.ring import Reader, Ring, from_fields, pack_fields, packed, unpacked
 from offpiste.logs.measurements import Camera, Cloud, Image, Lidar
 from offpiste.planning.course import Course
 from offpiste.rig.camera import CameraModel
-from offpiste.rig.rig import parse_rig
 from offpiste.runtime.estimator import VehicleReading
 from planning_maps import layers
 
@@ -169,10 +168,10 @@ def test_records_are_restored():
 
 
 def test_sensors_have_the_entries_of_the_rig():
-    vehicle = parse_rig(RIG + '[cameras.eye]\ntopic = "/image"\ninfo = "/info"\n', where="test")
+    vehicle = rig('[cameras.eye]\ntopic = "/image"\ninfo = "/info"\n')
     model = CameraModel(8, 6, np.eye(3), (0.1, 0.0, 0.0, 0.0))
     camera = Camera("eye", model, np.eye(4), vehicle.cameras["eye"])
-    lidar = Lidar("lidar", 2 * np.eye(4), rig().lidars["lidar"])
+    lidar = Lidar("lidar", 2 * np.eye(4), vehicle.lidars["lidar"])
     cameras, lidars = rings.sensors_from(unpacked(rings.pack_sensors(({"eye": camera}, {"lidar": lidar}))), vehicle)
     assert cameras["eye"].source == vehicle.cameras["eye"]
     same(cameras["eye"].model, model)

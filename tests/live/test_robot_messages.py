@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sensor_bags
-from live.synthetic_robot import RIG, START, cloud, odometry, planner, rig, small_settings, tree, write_course
+from live.synthetic_robot import EARTH, RIG, START, cloud, odometry, planner, rig, small_settings, tree, write_course
 from offpiste.closed_loop.lockstep import reading_of
 from offpiste.core.conventions import ACTUATORS
 from offpiste.core.errors import RigError
@@ -28,14 +28,6 @@ STEER = ACTUATORS.index("steer")
 
 def simulated(sample):
     return vehicle_messages(sample, stamp_ns(sample.time), wheel_radius=0.359)
-
-
-def vehicle_with(channels, *absent):
-    """The vehicle, with further channels in place of absent ones."""
-    text = RIG.replace("[lidars", channels + "[lidars")
-    for name in absent:
-        text = text.replace(f'"{name}", ', "", 1)
-    return VehicleMessages(parse_rig(text, where="test"))
 
 
 def test_readings_are_those_of_the_simulator():
@@ -107,7 +99,7 @@ def test_the_rate_of_a_silent_steering_is_zero_only_if_it_is_published_on_change
 def test_a_commanded_turn_rate_is_converted_to_steering():
     command = '[channels.throttle]\ntopic = "/cmd_vel"\nfields = ["linear.x"]\nscale = 0.25\n'
     command += '[channels.steer]\ntopic = "/cmd_vel"\nfields = ["angular.z", "linear.x"]\nunit = "rad/s"\n'
-    vehicle = vehicle_with(command, "throttle", "steer")
+    vehicle = VehicleMessages(rig(command))
     twist = make("geometry_msgs/Twist", linear=vector((2.0, 0.0, 0.0)), angular=vector((0.0, 0.0, 0.3)))
     assert vehicle.take("/cmd_vel", twist, NOW) is None
     assert vehicle.given(NOW).control.tolist() == [0.5, 0.0, pytest.approx(np.arctan(0.3 * 2.06 / 2.0) / 0.5)]
@@ -121,8 +113,7 @@ def test_the_gear_is_read_if_the_rig_has_one():
 
 
 def test_latitude_and_longitude_are_metres_from_the_origin_of_the_rig():
-    entry = '[channels.position]\nunit = "lat lon"\norigin = [48.0, 11.0]\n'
-    vehicle = VehicleMessages(parse_rig(RIG.replace("[channels.position]\n", entry), where="test"))
+    vehicle = VehicleMessages(parse_rig(EARTH, where="test"))
     message = odometry(0.0, 48.001)
     message.pose.pose.position.y = 11.0
     message.header.frame_id = "antenna"
@@ -152,10 +143,8 @@ def test_rigs_that_need_complete_logs_are_refused(old, new, what):
 
 
 def test_joints_are_found_by_their_names():
-    vehicle = vehicle_with(
-        '[channels.steer_angle]\ntopic = "/joints"\nfields = ["position[1]"]\njoints = ["steer"]\n', "steer_angle"
-    )
-    steer, empty = [], floats([])
+    channel = '[channels.steer_angle]\ntopic = "/joints"\nfields = ["position[1]"]\njoints = ["steer"]\n'
+    vehicle, steer, empty = VehicleMessages(rig(channel)), [], floats([])
     for k, values in enumerate(({"wheel": 7.0, "steer": 0.1}, {"steer": 0.2, "wheel": 8.0}, {"mast": 5.0, "arm": 6.0})):
         head, position = header(START + 20_000_000 * k, ""), floats(list(values.values()))
         joints = {"name": list(values), "position": position, "velocity": empty, "effort": empty}
@@ -244,7 +233,7 @@ def hostile():
 def test_good_messages_are_used_after_any_wrong_ones(tmp_path):
     eye = '[cameras.eye]\ntopic = "/image"\ninfo = "/camera_info"\n'
     for topic in ("/points", "/image", "/camera_info", "/tf_static"):
-        sensors = SensorMessages(parse_rig(RIG + eye, where="test"), cameras=True)
+        sensors = SensorMessages(rig(eye), cameras=True)
         for message in hostile():
             assert sensors.take(topic, message, 0.0) is None
             assert sensors.waiting_for
