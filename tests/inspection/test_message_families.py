@@ -8,7 +8,7 @@ from loggers import COMMANDS, LOGGERS, ODOM, PEDALS, POSE, QUANTITIES, TIME, YAW
 from simulated import MemoryLog
 
 from offpiste.core.errors import LogError
-from offpiste.inspection.channel_guesses import guess_channels
+from offpiste.inspection.naming import guess_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs.drive import drive_from_log

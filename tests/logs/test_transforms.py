@@ -7,7 +7,7 @@ import pytest
 
 from bag_files import converted
 from offpiste.core.errors import LogError
-from offpiste.inspection.channel_guesses import guess_channels
+from offpiste.inspection.naming import guess_channels
 from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.transforms import STAMPED_FIELDS, frame_pair, listed
 from sensor_bags import transforms

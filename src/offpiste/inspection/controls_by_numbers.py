@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.core.errors import OffpisteError
-from offpiste.inspection.channel_guesses import Guess, labels
+from offpiste.inspection.naming import Guess, labels
 from offpiste.inspection.commanded_motion import is_commanded
 from offpiste.inspection.driven_path import STEP, DrivenPath, driven_path
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags

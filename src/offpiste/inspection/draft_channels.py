@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from offpiste.inspection.channel_guesses import ACCELERATOR, MEASURED, MOTION, Guess, guess_channels
+from offpiste.inspection.naming import ACCELERATOR, MEASURED, MOTION, Guess, guess_channels
 from offpiste.inspection.commanded_motion import motion_lines
 from offpiste.inspection.draft_controls import (
     LARGEST_SHARE,
@@ -29,7 +29,7 @@ class Known:
     """Facts from reading the log through an incomplete rig.
 
     Attributes:
-        namespace: see `offpiste.inspection.channel_guesses.guess_channels`.
+        namespace: see `offpiste.inspection.naming.guess_channels`.
         frame: of the linear velocity.
         wheelbase: [m], or 0.
         max_steer: road wheel angle at a steering command of 1 for this wheelbase [rad], or 0.

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.channel_guesses import FALLBACK, MOTION, Guess
+from offpiste.inspection.naming import FALLBACK, MOTION, Guess
 from offpiste.inspection.commanded_motion import motion_lines
 from offpiste.inspection.draft_pose import Entry, unit_line
 from offpiste.inspection.gear import DIRECTION

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.core.errors import LogError, OffpisteError
-from offpiste.inspection.channel_guesses import Guess, by_topic
+from offpiste.inspection.naming import Guess, by_topic
 from offpiste.inspection.course import check_course
 from offpiste.inspection.draft_values import heading_by_numbers
 from offpiste.inspection.driven_path import driven_path
-from offpiste.inspection.field_groups import w_comes_first
+from offpiste.inspection.naming import w_comes_first
 from offpiste.inspection.findings import Cure, Finding
 from offpiste.inspection.pose import check_orientation, check_position_unit
 from offpiste.inspection.pose_samples import check_level

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import structs
 
 from offpiste.core.errors import OffpisteError, RigError
-from offpiste.inspection.channel_guesses import guess_channels
+from offpiste.inspection.naming import guess_channels
 from offpiste.inspection.clocks import read_by_arrival
 from offpiste.inspection.controls_by_numbers import find_controls, steering_candidates
 from offpiste.inspection.draft_channels import Known, draft_channels

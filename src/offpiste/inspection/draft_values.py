@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from offpiste.core.errors import OffpisteError
 from offpiste.core.geometry import local_from_geographic
-from offpiste.inspection.channel_guesses import Guess
+from offpiste.inspection.naming import Guess
 from offpiste.inspection.commanded_motion import commanded_curvature
 from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.findings import Finding

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from msgspec.structs import replace
 
 from offpiste.core.errors import OffpisteError
-from offpiste.inspection.channel_guesses import Guess
+from offpiste.inspection.naming import Guess
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath, driven_path
 from offpiste.inspection.findings import Finding, found
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged, sampled

@@ -8,7 +8,7 @@ import numpy as np
 
 from offpiste.core.channels import CONTROLS
 from offpiste.core.errors import LogError
-from offpiste.inspection.channel_guesses import guess_channels
+from offpiste.inspection.naming import guess_channels
 from offpiste.inspection.controls_by_numbers import is_measured_topic
 from offpiste.inspection.draft_pose import field_values, varies
 from offpiste.inspection.findings import Finding

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from offpiste.core.errors import LogError
-from offpiste.inspection.channel_guesses import guess_channels
+from offpiste.inspection.naming import guess_channels
 from offpiste.logs import open_log
 from offpiste.rig.channels import Clock
 
