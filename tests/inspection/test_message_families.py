@@ -8,9 +8,9 @@ from loggers import COMMANDS, LOGGERS, ODOM, PEDALS, POSE, QUANTITIES, TIME, YAW
 from simulated import MemoryLog
 
 from offpiste.core.errors import LogError
-from offpiste.inspection.naming import guess_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.inspect import inspect_log
+from offpiste.inspection.naming import guess_channels
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig

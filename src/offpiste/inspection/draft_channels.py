@@ -1,23 +1,22 @@
 """Channels of a draft rig: selected guesses, with units, scales and signs inferred from names and values."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from offpiste.inspection.naming import ACCELERATOR, MEASURED, MOTION, Guess, guess_channels
 from offpiste.inspection.commanded_motion import motion_lines
 from offpiste.inspection.draft_controls import (
-    LARGEST_SHARE,
     PEDALS,
     Scalar,
     draft_steering,
     pedal_lines,
     signed_pedal,
 )
-from offpiste.inspection.draft_pose import Entry, degrees, draft_pose, field_values, unit_line
+from offpiste.inspection.draft_pose import Entry, degrees, draft_pose, unit_line
 from offpiste.inspection.gear import MOST_GEARS, gear_values
+from offpiste.inspection.naming import ACCELERATOR, MEASURED, MOTION, Guess, field_values
 from offpiste.logs.log import Log
 from offpiste.rig.labels import is_array_entry
 
@@ -25,77 +24,45 @@ _VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_veloci
 
 
 @dataclass(frozen=True)
-class Known:
+class Facts:
     """Facts from reading the log through an incomplete rig.
 
     Attributes:
-        namespace: see `offpiste.inspection.naming.guess_channels`.
         frame: of the linear velocity.
         wheelbase: [m], or 0.
         max_steer: road wheel angle at a steering command of 1 for this wheelbase [rad], or 0.
         assumed: True if the wheelbase is chosen to match a usual `max_steer`.
-        found: controls found by the vehicle's response only, with their correlation (`controls_by_numbers`).
         straight: recorded steering in straight driving; None if its centre is not guessed.
-        plain: True if fields named as speed and turn rate are throttle and steering themselves.
-        heading: unit of a yaw if the course contradicts its range, e.g. for an unwrapped yaw.
         backwards: True if negative pedal values drive backwards.
-        is_handwheel: True if the steering angle is the steering wheel's.
     """
 
-    namespace: str = ""
     frame: str = "unknown"
     wheelbase: float = 0.0
     max_steer: float = 0.0
     assumed: bool = False
-    found: Mapping[str, tuple[Guess, float]] = field(default_factory=dict)
     straight: float | None = None
-    plain: bool = False
-    heading: str = ""
     backwards: bool = False
-    is_handwheel: bool = False
 
 
-NOTHING: Final = Known()
+NOTHING: Final = Facts()
 
 
-def draft_channels(log: Log, known: Known = NOTHING) -> dict[str, Entry]:
-    """Return entries by channel, the pose's first."""
-    guesses = guess_channels(log, known.namespace)
-    if known.plain:
-        guesses = [_as_it_is(guess) for guess in guesses]
-    entries = draft_pose(log, guesses, known.frame)
+def draft_channels(log: Log, guesses: Sequence[Guess], facts: Facts) -> dict[str, Entry]:
+    """Return entries by channel, the pose's first; the first guess of a channel with valid values is used."""
+    entries = draft_pose(log, guesses, facts.frame)
     scalars = _scalars(log, guesses, entries)
-    for channel, (guess, correlation) in known.found.items():
-        if channel not in scalars and (values := field_values(log, guess)) is not None:
-            why = f"by its numbers: the motion follows it ({correlation:.2f})"
-            scalars[channel] = Scalar(replace(guess, why=why), values[:, 0])
-    if known.plain and "throttle" in scalars and np.abs(scalars["throttle"].values).max() <= LARGEST_SHARE:
-        scalars.pop("gear", None)
-        scalars["throttle"] = scalars["throttle"].of(unit="", rank=1)
     if "brake" not in scalars and "brake_pressure" in scalars:
         scalars["brake"] = scalars.pop("brake_pressure")  # used as the command
     if "steer" not in scalars and "steer_angle" in scalars and scalars["steer_angle"].guess.rank == MEASURED:
         angle = scalars.pop("steer_angle")
         # Without a command, a position of any unit is the steering; a joint's position is an angle.
         scalars["steer"] = angle if is_array_entry(angle.guess.fields[0]) else angle.of(channel="steer")
-    if known.is_handwheel and "steer_angle" in scalars:
-        scalars["steer_angle"] = scalars["steer_angle"].of(is_handwheel=True)
-    steering = draft_steering(scalars, known.straight, known.max_steer)
+    steering = draft_steering(scalars, facts.straight, facts.max_steer)
     others = {name: _entry(name, scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
-    entries |= others | signed_pedal(scalars, backwards=known.backwards) | steering
-    if known.heading and not (yaw := entries["yaw"]).guess.unit and "scale" not in str(yaw.lines):
-        unit = () if known.heading == "rad" else (f'unit = "{known.heading}"',)
-        entries["yaw"] = replace(yaw, lines=unit, note=f"{yaw.note}; in {known.heading} by the course")
-    return entries
+    return entries | others | signed_pedal(scalars, backwards=facts.backwards) | steering
 
 
-def _as_it_is(guess: Guess) -> Guess:
-    """Convert a commanded turn rate to a steering of arbitrary unit."""
-    turns = guess.rank == MOTION and guess.channel == "steer"
-    return replace(guess, fields=guess.fields[:1], unit="", rank=1) if turns else guess
-
-
-def _scalars(log: Log, guesses: list[Guess], pose: Mapping[str, Entry]) -> dict[str, Scalar]:
+def _scalars(log: Log, guesses: Sequence[Guess], pose: Mapping[str, Entry]) -> dict[str, Scalar]:
     """Return the first guess of each scalar channel whose values vary and do not contradict the name."""
     unused = {*pose, *_VECTORS}
     unused |= {"yaw"} if "orientation" in pose or "position" not in pose else set()

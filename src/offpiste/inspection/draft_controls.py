@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.naming import FALLBACK, MOTION, Guess
 from offpiste.inspection.commanded_motion import motion_lines
 from offpiste.inspection.draft_pose import Entry, unit_line
 from offpiste.inspection.gear import DIRECTION
+from offpiste.inspection.naming import FALLBACK, MOTION, Guess
 from offpiste.inspection.signal_faults import find_spikes, find_wrap
 from offpiste.inspection.usual_ranges import (
     RANGES,

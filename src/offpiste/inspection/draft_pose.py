@@ -8,17 +8,15 @@ import numpy as np
 from jaxtyping import Float
 
 from offpiste.core.errors import LogError, OffpisteError
-from offpiste.inspection.naming import Guess, by_topic
 from offpiste.inspection.course import check_course
-from offpiste.inspection.draft_values import heading_by_numbers
 from offpiste.inspection.driven_path import driven_path
-from offpiste.inspection.naming import w_comes_first
 from offpiste.inspection.findings import Cure, Finding
+from offpiste.inspection.naming import Guess, by_topic, field_values, w_comes_first
 from offpiste.inspection.pose import check_orientation, check_position_unit
 from offpiste.inspection.pose_samples import check_level
 from offpiste.inspection.signal_faults import degrees_each
 from offpiste.inspection.usual_ranges import RANGES
-from offpiste.logs.channel import brought_together, read_channel
+from offpiste.logs.channel import read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log
 from offpiste.rig.channels import GEOGRAPHIC
@@ -63,7 +61,7 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
     if not _has_heading(best):
         apart = _frequent(log, on_ground, ("position",), ("orientation", "yaw"))
         best = apart if _has_heading(apart) or not best else best
-    best = best or _whole_pose(log, channels_of) or _pose_by_course(log, usable)
+    best = best or _whole_pose(log, channels_of)
     if best and not _RATES & set(best):
         imus = {t: each for t, each in channels_of.items() if "imu" in log.topics[t].type.lower()}
         best |= _frequent(log, imus, ("angular_velocity",))
@@ -118,13 +116,6 @@ def _whole_pose(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dic
     return dict(whole[max(spans, key=score)]) if spans else {}
 
 
-def _pose_by_course(log: Log, guesses: Sequence[Guess]) -> dict[str, Guess]:
-    """Return a position and an unnamed heading found by the course; empty if either is missing."""
-    place = next((guess for guess in guesses if guess.channel == "position"), None)
-    heading = None if place is None else heading_by_numbers(log, place)
-    return {} if place is None or heading is None else {"position": place, "yaw": heading}
-
-
 def _span(log: Log, topic: str) -> float:
     """Return the time from a topic's first to its last message [s]."""
     time = log.stamps(topic)
@@ -158,17 +149,6 @@ def _frequent(log: Log, channels_of: Mapping[str, Mapping[str, Guess]], *kinds: 
     guesses = sorted((guess for topic in often for guess in channels_of[topic].values()), key=_is_course)
     found = [next((guess for guess in guesses if guess.channel in kind), None) for kind in kinds]
     return {guess.channel: guess for guess in found if guess is not None} if all(found) else {}
-
-
-def field_values(log: Log, guess: Guess) -> Float[np.ndarray, "n k"] | None:
-    """Return the finite rows of a guess's fields, or None if they cannot be read."""
-    try:
-        samples = log.read(guess.topic, guess.fields)
-    except OffpisteError:
-        return None
-    values = brought_together(samples.time, samples.values)
-    values = values[np.isfinite(values).all(axis=1)]
-    return values if len(values) > 1 else None
 
 
 def unit_line(channel: str, guess: Guess) -> tuple[str, ...]:

@@ -1,34 +1,38 @@
 """First rig for a log, guessed from names and values; a comment states each guess."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from textwrap import wrap
+from typing import Any
 
 import numpy as np
 from msgspec import structs
 
 from offpiste.core.errors import OffpisteError, RigError
-from offpiste.inspection.naming import guess_channels
+from offpiste.inspection.by_motion import find_controls, find_heading
 from offpiste.inspection.clocks import read_by_arrival
-from offpiste.inspection.controls_by_numbers import find_controls, steering_candidates
-from offpiste.inspection.draft_channels import Known, draft_channels
-from offpiste.inspection.draft_pose import Entry, field_values, points_down, pose_cure
+from offpiste.inspection.draft_channels import NOTHING, Facts, draft_channels
+from offpiste.inspection.draft_controls import LARGEST_SHARE
+from offpiste.inspection.draft_pose import Entry, draft_pose, points_down, pose_cure, varies
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
     SMALL_CAR,
+    USUAL_STEER,
     Driven,
     driven,
-    estimated_max_steer,
+    full_curvature,
     shown_wheelbase,
     steering_straight,
+    vehicle_size,
     wheels_of,
 )
 from offpiste.inspection.gear import reverses_by_pedal
-from offpiste.inspection.missing import no_pose
+from offpiste.inspection.missing import no_pose, steering_candidates, why_missing
+from offpiste.inspection.naming import MOTION, Guess, field_values, guess_channels
 from offpiste.inspection.recorded_log import ReceivedLog, is_bulk
 from offpiste.inspection.response import steering_fit, turn_rate_fit
-from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.usual_ranges import RANGES
 from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.channel import read_channel
@@ -38,14 +42,12 @@ from offpiste.rig.edits import edited, toml_value
 from offpiste.rig.labels import is_array_entry
 from offpiste.rig.rig import GUESSED, Rig, parse_rig
 
-_NO_STEERING = (
-    "# MISSING: steering: {why}; no model can do without. Add [channels.steer] and take steer out of"
-    " `absent`. {candidates}\n"
-)
-_NO_THROTTLE = (
-    "# MISSING: throttle: {why}; without it no model can foresee the speed. Add [channels.throttle]"
-    " and take throttle out of `absent`.\n"
-)
+_MISSING = {
+    "steer": "# MISSING: steering: {why}; no model can do without. Add [channels.steer] and take steer out of `absent`."
+    " {candidates}\n",
+    "throttle": "# MISSING: throttle: {why}; without it no model can foresee the speed. Add [channels.throttle] and"
+    " take throttle out of `absent`.\n",
+}
 _HEADER = """\
 # A first rig for {name}, guessed by `offpiste inspect`. Every line is a guess: read it, fix it, and inspect again
 # with --rig until nothing is left to fix.
@@ -60,8 +62,6 @@ pose_point = "unknown"  # which point of the vehicle the pose is of
 # x forward, y left of the pose point [m]: front-left, front-right, rear-left, rear-right
 wheel_positions = {wheels}
 """
-_MAX_STEER = 0.5
-"""Default without a measured angle [rad]."""
 _LISTED = 60
 """Maximum number of fields listed per topic."""
 
@@ -76,6 +76,56 @@ def refuse_existing(path: Path) -> None:
         raise RigError("already exists", where=path, how="give --write-rig a new name")
 
 
+@dataclass(frozen=True)
+class Draft:
+    """First rig of a log as far as it is known.
+
+    Attributes:
+        guesses: of the channels, best first.
+    """
+
+    log: Log
+    guesses: tuple[Guess, ...]
+    facts: Facts = NOTHING
+
+    @cached_property
+    def entries(self) -> dict[str, Entry]:
+        """Channels.
+
+        Raises:
+            LogError: no pose was found, or its samples cannot be read.
+        """
+        entries = draft_channels(self.log, self.guesses, self.facts)
+        if "position" not in entries or not {"orientation", "yaw"} & set(entries):
+            raise no_pose(self.log)
+        return entries
+
+    @cached_property
+    def text(self) -> str:
+        """TOML; see `entries` for errors."""
+        log, entries, absent = self.log, self.entries, undeclared(self.entries)
+        parts = [_header(self, absent)]
+        for control, words in _MISSING.items():
+            if control in absent:
+                why, candidates = why_missing(log, self.guesses, control), steering_candidates(log)
+                parts.append(words.format(why=why, candidates=candidates))
+        parts += [_channel(log.topics[entry.guess.topic], channel, entry) for channel, entry in entries.items()]
+        if points_down(log, entries["position"].guess):
+            parts += ["[motion]  # GUESSED by the pose's name, or the type of its messages", 'axes = "ned"', ""]
+        parts += _clock(log) + _unread(log, entries)
+        return "\n".join([*parts, draft_sensors(log, entries["position"].guess.topic)])
+
+    @cached_property
+    def rig(self) -> Rig:
+        """Rig of the text; see `entries` for errors."""
+        return parse_rig(self.text, where="the drafted rig")
+
+    def changed(self, channel: str, **changes: Any) -> "Draft":
+        """Return the draft with another guess of a channel."""
+        old = self.entries[channel].guess
+        return replace(self, guesses=tuple(replace(one, **changes) if one == old else one for one in self.guesses))
+
+
 def draft_rig(log: Log, namespace: str = "") -> str:
     """Return a first rig as TOML for `offpiste.rig.rig.parse_rig`.
 
@@ -87,49 +137,40 @@ def draft_rig(log: Log, namespace: str = "") -> str:
     Raises:
         LogError: no pose was found, or its samples cannot be read.
     """
-    text = _text(log, known := Known(namespace))
-    if read_by_arrival(log, parse_rig(text, where="the drafted rig")):  # as in the remedy
+    draft = Draft(log, _guesses(log, namespace))
+    if read_by_arrival(log, draft.rig):  # as in the remedy
         log = ReceivedLog(log)
-        text = _text(log, known)
-    rig = parse_rig(text, where="the drafted rig")
-    posed = pose_cure(log, rig)
-
-    def redrafted(known: Known) -> Rig:
-        return edited(parse_rig(_text(log, known), where="the drafted rig"), posed)
-
-    rig = edited(rig, posed)
-    if _is_plain(log, rig):
-        rig = redrafted(known := replace(known, plain=True))
-    if found := find_controls(log, rig):
-        rig = redrafted(known := replace(known, found=found))
-    seen, (shortest, longest) = driven(log, rig), RANGES["wheelbases"]
-    wheelbase, assumed = shown_wheelbase(seen), False
-    if wheelbase > longest:
-        rig = redrafted(known := replace(known, is_handwheel=True))
-        seen = driven(log, rig)
-    wheelbase = wheelbase if shortest < wheelbase < longest else 0.0
+        draft = replace(draft, log=log)
+    posed = pose_cure(log, draft.rig)
+    if _are_shares(log, edited(draft.rig, posed)):
+        draft = _with_shares(draft)
+    found = find_controls(log, edited(draft.rig, posed))
+    draft = replace(draft, guesses=(*draft.guesses, *found.values()))
+    seen = driven(log, edited(draft.rig, posed))
+    wheelbase = shown_wheelbase(seen)
+    if wheelbase > RANGES["wheelbases"][1]:
+        draft = draft.changed("steer_angle", is_handwheel=True)
+        seen = driven(log, edited(draft.rig, posed))
+    rig = edited(draft.rig, posed)
     steering = None if seen is None else seen.steering("steer")
-    max_steer = estimated_max_steer(log, rig, steering, wheelbase or rig.vehicle.wheelbase)
-    if not wheelbase and max_steer and rig.channels["steer"].unit in ("rad", "deg"):  # a commanded angle
-        shown = rig.vehicle.wheelbase * float(np.tan(rig.vehicle.max_steer) / np.tan(max_steer))
-        wheelbase = shown if shortest < shown < longest else 0.0
-    if max_steer > MAX_STEERS[1] and not wheelbase:  # a vehicle smaller than the default
-        wheelbase, assumed = rig.vehicle.wheelbase * float(np.tan(_MAX_STEER) / np.tan(max_steer)), True
-        max_steer = _MAX_STEER
-    known = replace(
-        known,
-        frame=_frame(seen),
-        wheelbase=wheelbase,
-        max_steer=max_steer,
-        assumed=assumed,
-        straight=steering_straight(rig, steering),
-        heading=next((str(edit.value) for edit in posed if edit.key == "channels.yaw.unit"), ""),
-        backwards=reverses_by_pedal(log, rig),
-    )
-    return text if known == Known(namespace) else _text(log, known)
+    unit = next((str(edit.value) for edit in posed if edit.key == "channels.yaw.unit"), "")
+    if unit and not (yaw := draft.entries["yaw"]).guess.unit and "scale" not in str(yaw.lines):
+        draft = draft.changed("yaw", unit=unit, why=f"{yaw.guess.why}; in {unit} by the course")
+    size = vehicle_size(wheelbase, full_curvature(log, rig, steering), rig)
+    facts = Facts(_frame(seen), *size, steering_straight(rig, steering), reverses_by_pedal(log, rig))
+    return replace(draft, facts=facts).text
 
 
-def _is_plain(log: Log, rig: Rig) -> bool:
+def _guesses(log: Log, namespace: str) -> tuple[Guess, ...]:
+    """Return the guesses by names, and a heading that only the course shows if no name is that of one."""
+    guesses = tuple(guess_channels(log, namespace))
+    pose = draft_pose(log, guesses, "unknown")
+    places = [guess for guess in guesses if guess.channel == "position" and varies(field_values(log, guess))]
+    heading = find_heading(log, places[0]) if places and not {"orientation", "yaw"} & set(pose) else None
+    return guesses if heading is None else (*guesses, heading)
+
+
+def _are_shares(log: Log, rig: Rig) -> bool:
     """Return True if a field named as a turn rate is the steering: the yaw rate follows it times the speed."""
     source = rig.channels.get("steer")
     seen = driven(log, rig) if source is not None and source.turns else None
@@ -143,21 +184,15 @@ def _is_plain(log: Log, rig: Rig) -> bool:
         return False
 
 
-def _text(log: Log, known: Known) -> str:
-    entries = draft_channels(log, known)
-    if "position" not in entries or not {"orientation", "yaw"} & set(entries):
-        raise no_pose(log)
-    absent = undeclared(entries)
-    parts = [_header(log, entries, absent, known)]
-    if "steer" in absent:
-        why = _why_missing(log, known, "steer", "steer_angle")
-        parts += [_NO_STEERING.format(why=why, candidates=steering_candidates(log))]
-    parts += [_NO_THROTTLE.format(why=_why_missing(log, known, "throttle"))] if "throttle" in absent else []
-    parts += [_channel(log.topics[entry.guess.topic], channel, entry) for channel, entry in entries.items()]
-    if points_down(log, entries["position"].guess):
-        parts += ["[motion]  # GUESSED by the pose's name, or the type of its messages", 'axes = "ned"', ""]
-    parts += _clock(log) + _unread(log, entries)
-    return "\n".join([*parts, draft_sensors(log, entries["position"].guess.topic)])
+def _with_shares(draft: Draft) -> Draft:
+    """Return a draft in which a commanded turn rate is the steering of any unit, and a speed up to 1 the throttle."""
+    draft = draft.changed("steer", fields=draft.entries["steer"].guess.fields[:1], unit="", rank=1)
+    throttle = draft.entries.get("throttle")
+    values = None if throttle is None or throttle.guess.rank != MOTION else field_values(draft.log, throttle.guess)
+    if values is None or np.abs(values).max() > LARGEST_SHARE:
+        return draft
+    guesses = tuple(guess for guess in draft.guesses if guess.channel != "gear")
+    return replace(draft, guesses=guesses).changed("throttle", unit="", rank=1)
 
 
 def _channel(topic: Topic, channel: str, entry: Entry) -> str:
@@ -171,31 +206,28 @@ def _channel(topic: Topic, channel: str, entry: Entry) -> str:
     return "\n".join([*lines, *([f"joints = {toml_value(joints)}"] if all(joints) else []), ""])
 
 
-def _header(log: Log, entries: Mapping[str, Entry], absent: list[str], known: Known) -> str:
-    name, wheelbase = log.path.resolve().name.split(".")[0], known.wheelbase or SMALL_CAR
+def _header(draft: Draft, absent: list[str]) -> str:
+    facts = draft.facts
+    name, wheelbase = draft.log.path.resolve().name.split(".")[0], facts.wheelbase or SMALL_CAR
     source = f"{GUESSED}: mass and wheel positions are a small car's"
-    if known.wheelbase:
-        by = f"that turns so with {_MAX_STEER} rad" if known.assumed else "by yaw rate and steering angle"
+    if facts.wheelbase:
+        by = f"that turns so with {USUAL_STEER} rad" if facts.assumed else "by yaw rate and steering angle"
         source = f"{GUESSED}: a wheelbase of {wheelbase:.3g} m {by}; the rest is made up"
-    stated = next((entry.max_angle for entry in entries.values() if entry.max_angle), 0.0)
+    stated = next((entry for entry in draft.entries.values() if entry.max_angle), None)
+    origin = "; by the yaw rate, for this wheelbase" if facts.max_steer and not facts.assumed else ""
+    if stated is not None:  # an angle, or a command that turns the wheels by one
+        is_angle = any(f'unit = "{unit}"' in stated.lines for unit in ANGLES)
+        origin = "; the largest of this log" if is_angle else "; by the steering angle of this log"
     return _HEADER.format(
         name=name,
         quoted=toml_value(name),
         absent=toml_value(absent),
         source=toml_value(source),
         mass=float(f"{RANGES['mass'] * (wheelbase / SMALL_CAR) ** 3:.2g}"),
-        max_steer=stated or known.max_steer or _MAX_STEER,
-        origin=_origin(known, entries["steer"] if stated else None),
+        max_steer=stated.max_angle if stated is not None else facts.max_steer or USUAL_STEER,
+        origin=origin,
         wheels=toml_value(wheels_of(wheelbase)),
     )
-
-
-def _origin(known: Known, stated: Entry | None) -> str:
-    """Return the source of the drafted `max_steer`: the measured angle if the command is normalised."""
-    if stated is not None:
-        is_angle = any(f'unit = "{unit}"' in stated.lines for unit in ANGLES)
-        return "; the largest of this log" if is_angle else "; by the steering angle of this log"
-    return "; by the yaw rate, for this wheelbase" if known.max_steer and not known.assumed else ""
 
 
 def _clock(log: Log) -> list[str]:
@@ -223,19 +255,6 @@ def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:
             where = f"fields of {name}" if name else "columns"
             lines += wrap(f"Not read: {where}: {', '.join(rest[:_LISTED] + more)}", 118)
     return [*(f"# {line}" for line in lines), ""] if lines else []
-
-
-def _why_missing(log: Log, known: Known, *channels: str) -> str:
-    """Return the reason why a control has no field: unreadable, constant or not found."""
-    for guess in (guess for guess in guess_channels(log, known.namespace) if guess.channel in channels):
-        try:
-            log.read(guess.topic, guess.fields)
-        except OffpisteError as error:
-            return error.what
-        values = field_values(log, guess)
-        if values is not None and np.ptp(values) == 0:
-            return f"{guess.topic and f'{guess.topic} '}{', '.join(guess.fields)} is always {values[0, 0]:g}"
-    return "no field looks like it"
 
 
 def _frame(seen: Driven | None) -> str:

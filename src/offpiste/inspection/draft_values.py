@@ -1,103 +1,34 @@
 """Mass and wheel positions of a first rig: defaults until measured, and estimates from the motion."""
 
-from collections.abc import Iterator
-from itertools import product
 from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from offpiste.core.errors import OffpisteError
-from offpiste.core.geometry import local_from_geographic
-from offpiste.inspection.naming import Guess
 from offpiste.inspection.commanded_motion import commanded_curvature
 from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.findings import Finding
 from offpiste.inspection.response import SteeringFit, steering_fits
+from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.usual_ranges import RANGES
 from offpiste.logs.drive import Drive, drive_from_log
-from offpiste.logs.log import Log, Samples
-from offpiste.rig.channels import GEOGRAPHIC, unit_factor
+from offpiste.logs.log import Log
+from offpiste.rig.channels import ANGLES, unit_factor
 from offpiste.rig.edits import Edit, rounded
-from offpiste.rig.labels import is_named
 from offpiste.rig.rig import Rig, Vehicle
 
 SMALL_CAR: Final = RANGES["wheels"][0][0] - RANGES["wheels"][2][0]
 """Wheelbase of a small car [m]; masses are scaled with its cube."""
+USUAL_STEER: Final = 0.5
+"""Default of `max_steer` without a measured angle [rad]."""
 DRAFTED: Final = "mass and wheel positions are still those of the draft"
 """Finding reported while `vehicle.source` still names the draft or is empty."""
 _UNITS: Final = ("cm", "mm", "ft")
 """Units commonly mistaken for metres."""
 _CLEAR: Final = 0.8
 """Minimum correlation of the yaw rate with the kinematic prediction."""
-_BY_COURSE: Final = "by its numbers: the course of the position follows it"
-_APART: Final = 0.5
-"""Time between two positions that define the course [s]."""
-_LEAST: Final = 20
-"""Minimum number of such position pairs."""
-_FOLLOWS: Final = 0.95
-"""Minimum resultant of course minus heading for an unnamed heading, ..."""
-_ONE_WAY: Final = 0.8
-"""... and the maximum of the course itself; on a straight any near-constant field fits."""
 _CENTRE: Final = 0.01
 """Minimum offset of the steering centre from the usual one, and its maximum standard deviation."""
-
-
-def heading_by_numbers(log: Log, place: Guess) -> Guess | None:
-    """Return the field that follows a position's course; None if none does, or on a straight.
-
-    It may be clockwise or counter-clockwise with any zero direction, in radians or degrees.
-
-    Args:
-        place: guess of the position.
-    """
-    time, xy = _in_order(log.read(place.topic, place.fields[:2]))
-    if place.unit == GEOGRAPHIC:
-        xy = local_from_geographic(xy)
-    at = np.arange(time[0], time[-1] - _APART, _APART) if len(time) else time
-    way = _before(time, xy, at + _APART) - _before(time, xy, at)
-    length = np.nan_to_num(np.linalg.norm(way, axis=1))
-    moves = length > 0.5 * np.percentile(length, 90) if len(at) else np.zeros(0, bool)
-    course = np.arctan2(way[moves, 1], way[moves, 0])
-    if moves.sum() < _LEAST or abs(np.exp(1j * course).mean()) > _ONE_WAY:
-        return None
-    found: list[tuple[float, Guess]] = []
-    for topic, field, time, values in _unnamed(log, place):
-        angle = _before(time, values, at + _APART / 2)[moves, 0]
-        for sign, unit in product((1, -1), ("rad", "deg")):
-            away = course - sign * unit_factor("yaw", unit) * angle
-            found.append((float(abs(np.exp(1j * away).mean())), Guess("yaw", topic, (field,), unit, why=_BY_COURSE)))
-    best = max(found, key=lambda pair: pair[0], default=(0.0, None))
-    return best[1] if best[0] > _FOLLOWS else None
-
-
-def _unnamed(log: Log, place: Guess) -> Iterator[tuple[str, str, Float[np.ndarray, " n"], Float[np.ndarray, "n 1"]]]:
-    """Yield topic, name, stamps and values of varying fields that are neither positions nor commands."""
-    for topic in log.topics.values():
-        for field in topic.fields:
-            known = field in (log.clock.column, *place.fields)
-            if topic.part_of or known or is_named("commanded", f"{topic.name} {field}"):
-                continue
-            try:
-                time, values = _in_order(log.read(topic.name, (field,)))
-            except OffpisteError:
-                continue
-            if len(values) and np.ptp(values) > 0:
-                yield topic.name, field, time, values
-
-
-def _in_order(samples: Samples) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
-    """Return stamps and values of the finite rows, sorted by stamp."""
-    known = np.isfinite(samples.time) & np.isfinite(samples.values).all(axis=1)
-    order = np.argsort(samples.time[known], kind="stable")
-    return samples.time[known][order], samples.values[known][order]
-
-
-def _before(
-    time: Float[np.ndarray, " n"], values: Float[np.ndarray, "n k"], at: Float[np.ndarray, " m"]
-) -> Float[np.ndarray, "m k"]:
-    """Return the last sample before each time; angles may wrap between samples."""
-    return np.asarray(values[np.maximum(np.searchsorted(time, at) - 1, 0)])
 
 
 class Driven(NamedTuple):
@@ -145,26 +76,44 @@ def shown_wheelbase(seen: Driven | None) -> float:
     return wheelbase
 
 
-def estimated_max_steer(log: Log, rig: Rig, fit: SteeringFit | None, wheelbase: float) -> float:
-    """Estimate the road wheel angle at steer = 1 [rad] from poses: yaw rate = speed * steer * tan(angle) / wheelbase.
+def full_curvature(log: Log, rig: Rig, fit: SteeringFit | None) -> float:
+    """Estimate the curvature at steer = 1 [1/m] from poses: yaw rate = speed * steer * curvature.
 
-    For a commanded turn rate, it is the angle of the sharpest commanded curves.
+    For a commanded turn rate, it is that of the sharpest commanded curves.
 
     Args:
         fit: of the channel `steer`.
-        wheelbase: assumed wheelbase [m].
 
     Returns:
         0 without a steering, or if the vehicle does not clearly follow it.
     """
     source = rig.channels.get("steer")
     if source is not None and source.turns:
-        curvature = commanded_curvature(log.read(source.topic, source.fields).values, rig)
-    elif fit is not None and fit.settled.strength >= _CLEAR:
-        curvature = fit.curvature.value
-    else:
-        return 0.0
-    return float(f"{np.arctan(curvature * wheelbase):.3g}")
+        return commanded_curvature(log.read(source.topic, source.fields).values, rig)
+    return fit.curvature.value if fit is not None and fit.settled.strength >= _CLEAR else 0.0
+
+
+def vehicle_size(wheelbase: float, curvature: float, rig: Rig) -> tuple[float, float, bool]:
+    """Return wheelbase and max_steer of a draft, and whether they are assumed: the curvature gives only their ratio.
+
+    Args:
+        wheelbase: by a measured angle, or 0 [m].
+        curvature: at steer = 1, or 0 [1/m].
+    """
+    shortest, longest = RANGES["wheelbases"]
+    wheelbase = wheelbase if shortest < wheelbase < longest else 0.0
+    assumed = wheelbase or rig.vehicle.wheelbase
+    max_steer = float(f"{np.arctan(curvature * assumed):.3g}")
+
+    def with_angle(angle: float) -> float:
+        return assumed * float(np.tan(angle) / np.tan(max_steer))
+
+    if max_steer and not wheelbase and rig.channels["steer"].unit in ANGLES:  # a commanded angle
+        shown = with_angle(rig.vehicle.max_steer)
+        wheelbase = shown if shortest < shown < longest else 0.0
+    if wheelbase or max_steer <= MAX_STEERS[1]:
+        return wheelbase, max_steer, False
+    return with_angle(USUAL_STEER), USUAL_STEER, True  # a vehicle smaller than the default
 
 
 def steering_straight(rig: Rig, fit: SteeringFit | None) -> float | None:

@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float
 from msgspec.structs import replace
 
 from offpiste.core.errors import OffpisteError
-from offpiste.inspection.naming import Guess
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath, driven_path
 from offpiste.inspection.findings import Finding, found
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged, sampled
+from offpiste.inspection.naming import Guess
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.channel import increasing
 from offpiste.logs.drive import Drive, drive_from_log

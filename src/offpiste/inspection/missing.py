@@ -1,17 +1,16 @@
 """Missing and unused data: a log's topics and fields compared with a rig's channels, or a log without a pose."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from typing import Final
 
 import numpy as np
 
 from offpiste.core.channels import CONTROLS
-from offpiste.core.errors import LogError
-from offpiste.inspection.naming import guess_channels
-from offpiste.inspection.controls_by_numbers import is_measured_topic
-from offpiste.inspection.draft_pose import field_values, varies
+from offpiste.core.errors import LogError, OffpisteError
+from offpiste.inspection.draft_pose import varies
 from offpiste.inspection.findings import Finding
+from offpiste.inspection.naming import Guess, field_values, guess_channels, is_measured_topic, of_one_side
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.log import Log
 from offpiste.logs.transforms import FramePair, frame_pair, listed
@@ -24,6 +23,8 @@ _LISTED: Final = 12
 """Maximum number of topics or fields in the evidence."""
 _FIELDS: Final = 6
 """Maximum number of fields listed per topic."""
+_COLUMNS: Final = 60
+"""Maximum number of columns listed as possible steering."""
 BY_HAND: Final = "write a rig that names one"
 """Remedy if no name indicates a pose."""
 
@@ -224,3 +225,43 @@ def _contents(log: Log) -> str:
         columns = f"columns {', '.join(log.topics[''].fields) or 'without numbers'}"
         return "; ".join((columns, *text[:2]))
     return ", ".join(listed(log.topics)) or "no topic"
+
+
+def why_missing(log: Log, guesses: Iterable[Guess], control: str) -> str:
+    """Return the reason why a control has no field: unreadable, constant or not found."""
+    for guess in (guess for guess in guesses if guess.channel in (control, f"{control}_angle")):
+        try:
+            log.read(guess.topic, guess.fields)
+        except OffpisteError as error:
+            return error.what
+        values = field_values(log, guess)
+        if values is not None and np.ptp(values) == 0:
+            return f"{guess.topic and f'{guess.topic} '}{', '.join(guess.fields)} is always {values[0, 0]:g}"
+    return "no field looks like it"
+
+
+def why_no_steering(log: Log) -> str:
+    """Return sentences on unreadable steering sources (commands per side, raw bytes), or ""."""
+    sided: list[str] = []
+    words = ""
+    for topic in log.topics.values():
+        if not topic.part_of and not is_measured_topic(topic):
+            fields = [field for field in of_one_side(topic, log) if is_named("to_actuators", f"{topic.name} {field}")]
+            sided += [f"{topic.name} {field}".strip() for field in fields]
+        if is_named("can_frames", topic.type):
+            words += f"{topic.name} holds raw CAN frames: decode them with the DBC of the vehicle first. "
+    if sided:
+        words += f"{', '.join(sided[:4])} drive one side of the vehicle each: log their difference as the steering, "
+        words += "and their mean as the throttle. "
+    return words
+
+
+def steering_candidates(log: Log) -> str:
+    """Return sentences on possible steering fields under other names, and on unreadable sources."""
+    why = why_no_steering(log)
+    if list(log.topics) == [""]:
+        return f"{why}The columns are: {', '.join(log.topics[''].fields[:_COLUMNS])}"
+    others = [t for t in log.topics.values() if t.fields and not (t.part_of or is_measured_topic(t))]
+    topics = [topic for topic in others if is_named("steering_topics", topic.name)] or others
+    named = [f"{topic.name} ({', '.join(map(topic.in_words, topic.fields[:8]))})" for topic in topics]
+    return why + (f"It may be in: {'; '.join(named)}" if named else "All topics are named like measurements.")

@@ -13,6 +13,7 @@ from offpiste.core.channels import ACTUATORS, CONTROLS, all_actuators, all_contr
 from offpiste.core.errors import OffpisteError
 from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.inspection.commanded_motion import is_commanded, motion_commands
+from offpiste.logs.channel import brought_together
 from offpiste.logs.log import Log, Topic
 from offpiste.logs.transforms import frame_pair
 from offpiste.rig.channels import GEOGRAPHIC
@@ -38,6 +39,8 @@ ACCELERATOR: Final = 9
 """Rank of fields called `accel`: a pedal or an acceleration, depending on the values."""
 FALLBACK: Final = 10
 """First rank of fallback names."""
+_SIDES: Final = {"left": "right", "right": "left"}
+"""Vehicle sides with separate commands per wheel or track."""
 _SELDOM: Final = 0.04
 """Maximum sample ratio of a slow copy to its channel."""
 _UNIT, _MOST = 0.02, 0.95
@@ -130,6 +133,39 @@ def labels(topic: Topic) -> dict[str, Label]:
     return field_labels(topic.name, topic.fields, topic.units, topic.joints)
 
 
+def field_values(log: Log, guess: Guess) -> Float[np.ndarray, "n k"] | None:
+    """Return the finite rows of a guess's fields, or None if they cannot be read."""
+    try:
+        samples = log.read(guess.topic, guess.fields)
+    except OffpisteError:
+        return None
+    values = brought_together(samples.time, samples.values)
+    values = values[np.isfinite(values).all(axis=1)]
+    return values if len(values) > 1 else None
+
+
+def is_measured_topic(topic: Topic) -> bool:
+    """Return True if a topic's name or type marks a measurement; for tables, the columns decide.
+
+    Topics named as commands are excluded, such as TartanDrive's `cmd/twist.npy`, unless they command a motion.
+    """
+    if is_named("commanded", topic.name) and not is_named("of_motion", *topic.fields):
+        return False
+    return bool(topic.name) and is_named("measured_topics", f"{topic.name} {topic.type}")
+
+
+def of_one_side(topic: Topic, log: Log) -> list[str]:
+    """Return fields of one vehicle side that have a counterpart on the other side, by field names or the topic's."""
+    fields = [field for field in topic.fields if _other_side(field) in topic.fields]
+    return fields or (list(topic.fields) if _other_side(topic.name) in log.topics else [])
+
+
+def _other_side(name: str) -> str | None:
+    """Return the name of the opposite side's counterpart; None if it names no side."""
+    other = PATTERNS["sides"].sub(lambda side: _SIDES[side[0].lower()], name)
+    return None if other == name else other
+
+
 def _is_of_a_body(part: Topic) -> bool:
     """Return True for a transform of a body."""
     pair = frame_pair(part.name)
@@ -174,7 +210,11 @@ def _vectors(log: Log, topic: Topic, named: Mapping[str, Label]) -> Iterator[_Gr
     for before, after, found in _letters(named):
         vector, name = _vector(before, after), f"{before}x{after}"
         four = tuple(found.values())
-        if len(four) == 4 and (vector is None or vector.channel != "orientation") and _are_quaternions(log, topic, four):
+        if (
+            len(four) == 4
+            and (vector is None or vector.channel != "orientation")
+            and _are_quaternions(log, topic, four)
+        ):
             of_the_vehicle = not (is_named("not_vectors", name) or is_named("commanded", topic.name))
             yield "orientation" if of_the_vehicle else "", four, "", 0
             continue
@@ -264,12 +304,8 @@ def _wheels(topic: Topic, named: Mapping[str, Label]) -> Iterator[_Group]:
 
 def _are_quaternions(log: Log, topic: Topic, fields: tuple[str, ...]) -> bool:
     """Return True if nearly all rows of four fields have norm 1."""
-    try:
-        rows = log.read(topic.name, fields).values
-    except OffpisteError:
-        return False
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    return len(rows) > 1 and bool(np.mean(np.abs(np.linalg.norm(rows, axis=1) - 1) < _UNIT) > _MOST)
+    rows = field_values(log, Guess("orientation", topic.name, fields))
+    return rows is not None and bool(np.mean(np.abs(np.linalg.norm(rows, axis=1) - 1) < _UNIT) > _MOST)
 
 
 def w_comes_first(fields: tuple[str, ...], values: Float[np.ndarray, "n 4"]) -> bool:
