@@ -7,7 +7,6 @@ import pytest
 from simulated import MemoryLog, drive_log, rig
 
 from factories import MemoryLog as Plain
-from offpiste.inspection.draft_channels import draft_channels
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.gear import check_gear
@@ -66,24 +65,25 @@ def test_a_gear_that_goes_with_the_motion_is_right_and_one_that_does_not_is_foun
 
 
 @pytest.mark.parametrize(
-    ("field", "recorded", "line"),
+    ("field", "recorded", "meanings"),
     [
-        ("gear", (-1.0, 1.0, 2.0), ""),
-        ("prndl", (0.0, 1.0, 3.0), "values = { 0 = 0, 1 = -1, 2 = 0, 3 = 1 }"),
-        ("gear_letter", (82.0, 68.0), "values = { P = 0, R = -1, N = 0, D = 1 }"),
-        ("gear_letter", (82.0, 68.0, 83.0), "values = { P = 0, R = -1, N = 0, D = 1, S = 1 }"),
-        ("gear", (82.0, 78.0, 1.0, 2.0), "values = { P = 0, R = -1, N = 0, D = 1, 1 = 1, 2 = 1 }"),
-        ("gear_shift", (0.0, 1.0, 3.0), ""),
-        ("shift_rpt.output", (0.0, 1.0, 3.0), ""),
-        ("reverse", (0.0, 1.0), "values = { 0 = 1, 1 = -1 }"),
+        ("gear", (-1.0, 1.0, 2.0), {}),
+        ("prndl", (0.0, 1.0, 3.0), {"0": 0, "1": -1, "2": 0, "3": 1}),
+        ("gear_letter", (82.0, 68.0), {"P": 0, "R": -1, "N": 0, "D": 1}),
+        ("gear_letter", (82.0, 68.0, 83.0), {"P": 0, "R": -1, "N": 0, "D": 1, "S": 1}),
+        ("gear", (82.0, 78.0, 1.0, 2.0), {"P": 0, "R": -1, "N": 0, "D": 1, "1": 1, "2": 1}),
+        ("gear_shift", (0.0, 1.0, 3.0), {}),
+        ("shift_rpt.output", (0.0, 1.0, 3.0), {}),
+        ("reverse", (0.0, 1.0), {"0": 1, "1": -1}),
     ],
 )
-def test_first_rigs_have_the_gear(field: str, recorded: tuple[float, ...], line: str) -> None:
+def test_first_rigs_have_the_gear(field: str, recorded: tuple[float, ...], meanings: dict[str, int]) -> None:
     time = np.arange(100) / 10
-    log = Plain(box=(time, {field: np.resize(recorded, 100), "gear_ratio": time}))
-    entry = draft_channels(log)["gear"]
-    assert entry.guess.fields == (field,)
-    assert entry.lines == ((line,) if line else ())
+    pose = dict.fromkeys(("x", "y", "yaw"), time)
+    log = Plain(box=(time, {field: np.resize(recorded, 100), "gear_ratio": time, **pose}))
+    source = parse_rig(draft_rig(log), where="test").channels["gear"]
+    assert source.fields == (field,)
+    assert source.values == meanings
 
 
 def _one_pedal(path, *, reverses: bool, full: float = 1.0, rest: float = 0.0):

@@ -171,7 +171,9 @@ def find_controls(log: Log, rig: Rig) -> dict[str, Guess]:
 
 
 def _found(name: str, one: _Candidate) -> Guess:
-    return replace(one.guess, channel=name, why=f"by its numbers: the motion follows it ({one.score:.2f})")
+    is_command = one.guess.is_command and name != "steer_angle"
+    why = f"by its numbers: the motion follows it ({one.score:.2f})"
+    return replace(one.guess, channel=name, is_command=is_command, why=why)
 
 
 def _may_hold_pedals(topic: str, steers: set[str]) -> bool:
@@ -237,12 +239,12 @@ def _pressed(channel: Channel) -> Channel | None:
     values: Float[np.ndarray, "n 1"] = channel.values
     high, pulses = rests_high(values[:, 0]), are_pulses(values[:, 0], named=False)
     rest = pulse_at_rest(values[:, 0]) if pulses else 0.0
-    two_way = rests_between(values[:, 0], rest) and (pulses or is_signed(values[:, 0]))
     # Long driving at full throttle is also at an end of the range.
-    if high is None or two_way:
-        both_ways = channel.name == "throttle" and (pulses or is_signed(values[:, 0]))
-        return replace(channel, values=np.maximum(values - rest, 0.0)) if both_ways else None
-    return Channel(channel.name, channel.unit, channel.time, values.max() - values if high else values - values.min())
+    if (pulses or is_signed(values[:, 0])) and (high is None or rests_between(values[:, 0], rest)):
+        return replace(channel, values=np.maximum(values - rest, 0.0)) if channel.name == "throttle" else None
+    if high is None:
+        return None
+    return replace(channel, values=values.max() - values if high else values - values.min())
 
 
 def _fields(log: Log, rig: Rig) -> Iterator[Guess]:

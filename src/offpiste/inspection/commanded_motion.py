@@ -1,14 +1,14 @@
 """Commands of a motion, i.e. speed and turn rate instead of pedals and steering."""
 
 from collections.abc import Iterator, Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
 from offpiste.logs.log import Topic
 from offpiste.rig.channels import TURN_RATES
-from offpiste.rig.edits import number
+from offpiste.rig.edits import rounded
 from offpiste.rig.labels import PATTERNS, Label, channel_unit, is_named
 from offpiste.rig.rig import Rig
 
@@ -52,27 +52,24 @@ def _measures(channel: str, label: Label) -> bool:
     return channel_unit(channel, label.unit) is not None
 
 
-def motion_lines(channel: str, values: Float[np.ndarray, " n"], unit: str) -> tuple[tuple[str, ...], str]:
-    """Return a first rig's entry for a commanded motion, and a note.
+def motion_settings(channel: str, values: Float[np.ndarray, " n"], unit: str) -> tuple[dict[str, Any], str]:
+    """Return the settings of a commanded motion in a first rig, and a note.
 
     Args:
         values: of the first field: speed [m/s] or turn rate.
         unit: of a turn rate, as stated by the log; rad/s by default.
-
-    Returns:
-        Lines of TOML, and a note.
     """
     largest, backwards = float(np.abs(values).max()), bool(values.min() < 0)
     if channel == "gear":
-        return (f"scale = {number(_DIRECTION / largest)}",), "the direction of the commanded speed"
+        return {"scale": rounded(_DIRECTION / largest)}, "the direction of the commanded speed"
     if channel == "throttle":
         words = f"a commanded speed, of which 1 is {largest:.4g}, the largest of this log"
-        size = ("absolute = true",) if backwards else ()
-        return (f"scale = {number(1 / largest)}", *size, "clip = [0.0, 1.0]"), words
-    if unit == "rad/s" and np.abs(values).max() > _FASTEST:
+        size = {"absolute": True} if backwards else {}
+        return {"scale": rounded(1 / largest), **size, "clip": [0.0, 1.0]}, words
+    if unit == "rad/s" and largest > _FASTEST:
         unit = "deg/s"
     words = "a commanded turn rate, and the speed: the angle of a bicycle that turns so, over max_steer"
-    return (f'unit = "{unit}"', "clip = [-1.0, 1.0]"), words
+    return {"unit": unit, "clip": [-1.0, 1.0]}, words
 
 
 def commanded_curvature(raw: Float[np.ndarray, "n 2"], rig: Rig) -> float:

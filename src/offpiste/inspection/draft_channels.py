@@ -2,25 +2,23 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
-from offpiste.inspection.commanded_motion import motion_lines
+from offpiste.inspection.commanded_motion import motion_settings
 from offpiste.inspection.draft_controls import (
     PEDALS,
     Scalar,
     draft_steering,
-    pedal_lines,
+    pedal_settings,
     signed_pedal,
 )
-from offpiste.inspection.draft_pose import Entry, degrees, draft_pose, unit_line
+from offpiste.inspection.draft_pose import POSE_CHANNELS, Entry, draft_pose, unit_setting
 from offpiste.inspection.gear import MOST_GEARS, gear_values
+from offpiste.inspection.missing import no_pose
 from offpiste.inspection.naming import ACCELERATOR, MEASURED, MOTION, Guess, field_values
 from offpiste.logs.log import Log
 from offpiste.rig.labels import is_array_entry
-
-_VECTORS: Final = ("position", "orientation", "linear_velocity", "angular_velocity")
 
 
 @dataclass(frozen=True)
@@ -44,12 +42,15 @@ class Facts:
     backwards: bool = False
 
 
-NOTHING: Final = Facts()
-
-
 def draft_channels(log: Log, guesses: Sequence[Guess], facts: Facts) -> dict[str, Entry]:
-    """Return entries by channel, the pose's first; the first guess of a channel with valid values is used."""
+    """Return entries by channel, the pose's first; the first guess of a channel with valid values is used.
+
+    Raises:
+        LogError: no pose was found, or its samples cannot be read.
+    """
     entries = draft_pose(log, guesses, facts.frame)
+    if "position" not in entries or not {"orientation", "yaw"} & set(entries):
+        raise no_pose(log)
     scalars = _scalars(log, guesses, entries)
     if "brake" not in scalars and "brake_pressure" in scalars:
         scalars["brake"] = scalars.pop("brake_pressure")  # used as the command
@@ -64,16 +65,13 @@ def draft_channels(log: Log, guesses: Sequence[Guess], facts: Facts) -> dict[str
 
 def _scalars(log: Log, guesses: Sequence[Guess], pose: Mapping[str, Entry]) -> dict[str, Scalar]:
     """Return the first guess of each scalar channel whose values vary and do not contradict the name."""
-    unused = {*pose, *_VECTORS}
-    unused |= {"yaw"} if "orientation" in pose or "position" not in pose else set()
-    unused |= {"yaw_rate"} if "angular_velocity" in pose else set()
-    pose_topic = pose["position"].guess.topic if "position" in pose else ""
+    unused = {*POSE_CHANNELS, *(["yaw_rate"] if "angular_velocity" in pose else [])}
     scalars: dict[str, Scalar] = {}
     for guess in guesses:
         commanded = guess.channel == "steer_angle" and guess.rank < MEASURED and guess.is_command
         channel = "steer" if commanded else guess.channel
         vague = channel == "wheel_speed" and guess.rank > 1
-        if channel in unused or channel in scalars or (vague and guess.topic != pose_topic):
+        if channel in unused or channel in scalars or (vague and guess.topic != pose["position"].guess.topic):
             continue
         values = field_values(log, guess)
         if values is not None and np.ptp(values) > 0 and not _is_misnamed(scalar := Scalar(guess, values[:, 0])):
@@ -95,20 +93,17 @@ def _entry(channel: str, scalar: Scalar) -> Entry:
     """Infer scale and wrap from the values: controls to 0..1, engine speed to 1000 rev/min."""
     guess = scalar.guess
     if guess.rank == MOTION:
-        return Entry(guess, *motion_lines(channel, scalar.values, guess.unit))
+        return Entry(guess, *motion_settings(channel, scalar.values, guess.unit))
     wrap, values = scalar.unwrapped
     high = float(np.percentile(values, 99.5))
+    note = ""
     if channel in PEDALS:
-        lines, note = pedal_lines(channel, guess, values)
-    elif lines := unit_line(channel, guess):
+        settings, note = pedal_settings(channel, guess, values)
+    elif settings := unit_setting(channel, guess):
         note = "in the unit of the log"
     elif channel == "gear":
-        lines = gear_values(guess, values)
-        note = "`values` may have to say what is recorded" if lines else "of its numbers the sign counts"
-    else:
-        note = ""
-        if channel == "engine_rpm" and high > 20 and not guess.unit:
-            lines = ('unit = "rev/min"',)
-        elif channel == "yaw" and not guess.unit:
-            lines = degrees(values)
-    return Entry(guess, (*wrap, *lines), note)
+        settings = gear_values(guess, values)
+        note = "`values` may have to say what is recorded" if settings else "of its numbers the sign counts"
+    elif channel == "engine_rpm" and high > 20 and not guess.unit:
+        settings = {"unit": "rev/min"}
+    return Entry(guess, wrap | settings, note)

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from offpiste.inspection.commanded_motion import motion_lines
-from offpiste.inspection.draft_pose import Entry, unit_line
+from offpiste.inspection.commanded_motion import motion_settings
+from offpiste.inspection.draft_pose import Entry, unit_setting
 from offpiste.inspection.gear import DIRECTION
 from offpiste.inspection.naming import FALLBACK, MOTION, Guess
 from offpiste.inspection.signal_faults import find_spikes, find_wrap
@@ -29,8 +29,8 @@ from offpiste.inspection.usual_ranges import (
     whole_range,
 )
 from offpiste.logs.channel import unwrapped
-from offpiste.rig.channels import ChannelSource, unit_factor
-from offpiste.rig.edits import number, rounded
+from offpiste.rig.channels import ANGLES, ChannelSource
+from offpiste.rig.edits import rounded
 from offpiste.rig.labels import channel_unit, is_named, parse_label
 
 PEDALS: Final = ("throttle", "brake", "brake_pressure")
@@ -38,6 +38,9 @@ LARGEST_SHARE: Final = 1.05
 """Maximum value of a control from 0 to 1 or -1 to 1; larger ones have a unit or another scale."""
 _BELOW: Final = 0.05
 """Minimum range below the rest position of a pedal that also brakes, as a share of the range above."""
+_SHARE: Final = {"clip": [0.0, 1.0]}
+_BOTH_WAYS: Final = {"clip": [-1.0, 1.0]}
+_PERCENT: Final = {"unit": "percent"}
 _ALIKE: Final = (0.9, 1.1)
 """Ratio of the largest command to the largest measured angle if the command is an angle."""
 
@@ -59,30 +62,30 @@ class Scalar:
         return largest_size(self.values)
 
     @property
-    def unwrapped(self) -> tuple[tuple[str, ...], Float[np.ndarray, " n"]]:
-        """The line of TOML that unwraps a wrapped counter, if it is one, and the unwrapped values."""
+    def unwrapped(self) -> tuple[dict[str, Any], Float[np.ndarray, " n"]]:
+        """The setting that unwraps a wrapped counter, if it is one, and the unwrapped values."""
         wrap = find_wrap(self.values)
         if wrap is None:
-            return (), self.values
-        return (f"wrap = {{ above = {number(wrap.above)}, period = {wrap.period} }}",), unwrapped(self.values, wrap)
+            return {}, self.values
+        return {"wrap": {"above": rounded(wrap.above), "period": wrap.period}}, unwrapped(self.values, wrap)
 
 
-def pedal_lines(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[tuple[str, ...], str]:
-    """Return lines that scale a pedal to 0..1, and the reason: usual logger ranges, otherwise the range in this log."""
+def pedal_settings(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[dict[str, Any], str]:
+    """Return settings that scale a pedal to 0..1, and a note: usual logger ranges, otherwise the range in this log."""
     low, high = np.percentile(values, (0.5, 99.5))
     # A pedal may be pressed rarely.
     reached = max(-low, high, held_range(values)[1])
-    if reached > LARGEST_SHARE and (stated := unit_line(channel, guess)):
+    if reached > LARGEST_SHARE and (stated := unit_setting(channel, guess)):
         return stated, "in the unit of the log"
     span = seen_range(values)
     rests_above_zero = rests_high(values) is False and span[0] > 0.05 and span[1] <= LARGEST_SHARE
     if low >= -0.05 and 0.05 < high <= LARGEST_SHARE and not rests_above_zero:
-        return (), ""
+        return {}, ""
     # Pressures have no usual range.
     measured = guess.channel == "brake_pressure" or bool(guess.unit and channel_unit(channel, guess.unit) is None)
     whole = None if measured else whole_range(values)
     if whole == (0.0, 100.0):
-        return ('unit = "percent"', "clip = [0.0, 1.0]"), f"up to {span[1]:.4g}: taken as percent"
+        return _PERCENT | _SHARE, f"up to {span[1]:.4g}: taken as percent"
     source = ChannelSource(guess.fields, guess.topic)
     edits = scaled_to_unit(channel, source, whole or span, turned=bool(whole and whole[0] and rests_high(values)))
     seen = f"{span[0]:.4g}..{span[1]:.4g}"
@@ -92,8 +95,7 @@ def pedal_lines(channel: str, guess: Guess, values: Float[np.ndarray, " n"]) -> 
         fully = "is that full braking?" if guess.channel == "brake_pressure" else "is it fully pressed?"
         seen = f"{seen} {guess.unit if measured else ''}".rstrip()
         note = f"scaled from {seen} to 0..1, the most that this log holds: {fully}"
-    lines = (f"{edit.key.rpartition('.')[2]} = {number(edit.value)}" for edit in edits)
-    return (*lines, "clip = [0.0, 1.0]"), note
+    return {edit.key.rpartition(".")[2]: edit.value for edit in edits} | _SHARE, note
 
 
 def signed_pedal(scalars: Mapping[str, Scalar], *, backwards: bool = False) -> dict[str, Entry]:
@@ -106,28 +108,32 @@ def signed_pedal(scalars: Mapping[str, Scalar], *, backwards: bool = False) -> d
     if throttle is None or throttle.guess.rank == MOTION:
         return {}
     guess, (low, high) = throttle.guess, held_range(throttle.values)
-    words = f"{low:.4g}..{high:.4g} seen"
-    if are_pulses(throttle.values, named=are_named_pulses(guess)):
+    words, rest = f"{low:.4g}..{high:.4g} seen", 0.0
+    if are_pulses(throttle.values, named=_are_named_pulses(guess)):
         rest = pulse_at_rest(throttle.values)
         full = RANGES["full_pulse"] - rest
-        lines: tuple[str, ...] = (f"scale = {number(1 / full)}", f"offset = {number(-rest / full)}")
+        settings = _scaled(full, rest)
         words += f", pulses (is full throttle {RANGES['full_pulse']:g}?)"
     elif _is_two_way(throttle, is_only="brake" not in scalars):
-        rest, (lines, full) = 0.0, _scaled(guess, max(-low, high))
+        largest = max(-low, high)
+        full = 1.0 if largest <= LARGEST_SHARE else full_scale(largest) or largest
+        settings = (
+            {} if full == 1.0 else unit_setting("throttle", guess) or (_PERCENT if full == 100 else _scaled(full))
+        )
+        full = 100.0 if settings == _PERCENT else full
     else:
         return {}
     both = rest - low > _BELOW * (high - rest)
     if backwards and both and "gear" not in scalars:
-        scale = DIRECTION / full
-        gear = (f"scale = {number(scale)}", *((f"offset = {number(-rest * scale)}",) if rest else ()))
+        gear = _scaled(full / DIRECTION, rest)
         return {
-            "throttle": Entry(guess, (*lines, "absolute = true", "clip = [0.0, 1.0]"), f"{words}: its size"),
+            "throttle": Entry(guess, settings | {"absolute": True} | _SHARE, f"{words}: its size"),
             "gear": Entry(guess, gear, f"{words}: what is below {rest:g} drives backwards"),
         }
-    entries = {"throttle": Entry(guess, (*lines, "clip = [0.0, 1.0]"), f"{words}: what is above {rest:g}")}
+    entries = {"throttle": Entry(guess, settings | _SHARE, f"{words}: what is above {rest:g}")}
     if both and "brake" not in scalars:
-        words += f": what is below {rest:g} brakes"
-        entries["brake"] = Entry(guess, (*lines, "sign = -1", "clip = [0.0, 1.0]"), words)
+        brake = settings | {"sign": -1} | _SHARE
+        entries["brake"] = Entry(guess, brake, f"{words}: what is below {rest:g} brakes")
     return entries
 
 
@@ -138,18 +144,12 @@ def _is_two_way(throttle: Scalar, *, is_only: bool) -> bool:
     return find_wrap(values) is None and is_signed(values) and not trigger
 
 
-def _scaled(guess: Guess, largest: float) -> tuple[tuple[str, ...], float]:
-    """Return the lines that scale a signed pedal to -1..1, and its recorded full scale."""
-    if largest <= LARGEST_SHARE:
-        return (), 1.0
-    full = full_scale(largest) or largest
-    lines = unit_line("throttle", guess)
-    if not lines:
-        lines = ('unit = "percent"',) if full == 100 else (f"scale = {number(1 / full)}",)
-    return lines, 100.0 if lines == ('unit = "percent"',) else full
+def _scaled(full: float, zero: float = 0.0) -> dict[str, Any]:
+    """Return the settings that map a recorded zero to 0 and `full` beyond it to 1."""
+    return {"scale": rounded(1 / full)} | ({"offset": rounded(-zero / full)} if zero else {})
 
 
-def are_named_pulses(guess: Guess) -> bool:
+def _are_named_pulses(guess: Guess) -> bool:
     """Return True if the unit or the name marks pulse widths."""
     return guess.unit == "us" or is_named("pulsed", guess.topic, *guess.fields)
 
@@ -158,11 +158,11 @@ def draft_steering(scalars: Mapping[str, Scalar], straight: float | None, max_st
     """Return commands and angles of the steering; an angle without a command serves as the command, too.
 
     Args:
-        straight, max_steer: see `offpiste.inspection.draft_channels.Known`.
+        straight, max_steer: see `offpiste.inspection.draft_channels.Facts`.
     """
     steer, angle = scalars.get("steer"), scalars.get("steer_angle")
     handwheel: dict[str, Entry] = {}
-    if angle is not None and not _to_radians(angle):  # steering wheel angle
+    if angle is not None and not _road_unit(angle):  # steering wheel angle
         handwheel = _from_handwheel(steer, angle, max_steer)
         steer, angle = steer if steer is not None and steer.guess.rank < FALLBACK else angle, None
     elif angle is not None and steer is not None and steer.guess.rank >= FALLBACK:
@@ -170,71 +170,61 @@ def draft_steering(scalars: Mapping[str, Scalar], straight: float | None, max_st
     command = steer or angle
     if command is None:
         return {}
-    factor = _to_radians(command) if _is_angle(command) else 0.0
-    if not factor and steer is not None and angle is not None and _are_alike(steer, angle):
-        factor = _to_radians(angle)
-    if factor and angle is None and not command.guess.is_command:
+    unit = _road_unit(command) if _is_angle(command) else ""
+    if steer is not None and angle is not None and not steer.guess.unit:
+        # As a share, 1 would be 1 rad.
+        alike = _ALIKE[0] < steer.largest / angle.largest < _ALIKE[1]
+        unit = unit or (_road_unit(angle) if alike else "")
+    if unit and angle is None and not command.guess.is_command:
         angle = command
-    measured = command is angle
-    entries = {"steer": _from_angle(command, factor, measured=measured) if factor else _command(command, straight)}
-    if angle is not None:
-        factor = _to_radians(angle)
-        unit = channel_unit("steer_angle", angle.guess.unit) if angle.guess.unit else "deg" if factor != 1 else ""
-        lines = (f'unit = "{unit}"',) if unit else ()
-        entries["steer_angle"] = Entry(angle.guess, lines, "an angle of the road wheels")
-        if not entries["steer"].max_angle:
-            stated = rounded(angle.largest * factor / min(command.largest, 1.0))
-            entries["steer"] = replace(entries["steer"], max_angle=stated if stated < RANGES["steepest"] else 0.0)
-    return entries | handwheel
+    entry = _from_angle(command, unit, measured=command is angle) if unit else _command(command, straight)
+    if angle is None:
+        return {"steer": entry} | handwheel
+    unit = _road_unit(angle)
+    if not entry.max_angle:
+        stated = rounded(angle.largest * ANGLES[unit] / min(command.largest, 1.0))
+        entry = replace(entry, max_angle=stated if stated < RANGES["steepest"] else 0.0)
+    measured = Entry(angle.guess, {"unit": unit} if unit != "rad" else {}, "an angle of the road wheels")
+    return {"steer": entry, "steer_angle": measured}
 
 
 def _from_handwheel(steer: Scalar | None, angle: Scalar, max_steer: float) -> dict[str, Entry]:
     """Return the road wheel angle from the steering wheel angle, scaled by a command of it in the same unit."""
-    if steer is None or not (max_steer and steer.guess.is_command and _is_angle(steer)) or _to_radians(steer):
+    if steer is None or not (max_steer and steer.guess.is_command and _is_angle(steer)) or _road_unit(steer):
         return {}
     if steer.guess.unit != angle.guess.unit or not 0.5 < angle.largest / steer.largest < 2:
         return {}
-    comment = (
-        f"of a steering wheel, of which {steer.largest:.4g} turn the road wheels by max_steer; correct it with that"
-    )
-    return {"steer_angle": Entry(angle.guess, (f"scale = {number(max_steer / steer.largest)}",), comment)}
+    of = f"of a steering wheel, of which {steer.largest:.4g} turn the road wheels by max_steer; correct it with that"
+    return {"steer_angle": Entry(angle.guess, _scaled(steer.largest / max_steer), of)}
 
 
-def _are_alike(steer: Scalar, angle: Scalar) -> bool:
-    """Return True if a unitless command has the values of the measured angle; as a share, 1 would be 1 rad."""
-    return not steer.guess.unit and _ALIKE[0] < steer.largest / angle.largest < _ALIKE[1]
-
-
-def _from_angle(steer: Scalar, factor: float, *, measured: bool) -> Entry:
+def _from_angle(steer: Scalar, unit: str, *, measured: bool) -> Entry:
     """Return a steering command from an angle, scaled to 1 at its maximum, the vehicle's `max_steer`."""
-    unit = channel_unit("steer_angle", steer.guess.unit) if steer.guess.unit else "rad" if factor == 1 else "deg"
     note = "an angle of the road wheels, which is divided by max_steer"
     note += "; no command is recorded, and the angle stands for it" if measured else ""
-    lines = (f'unit = "{unit or "rad"}"', "clip = [-1.0, 1.0]")
-    return Entry(steer.guess, lines, note, rounded(steer.largest * factor))
+    return Entry(steer.guess, {"unit": unit} | _BOTH_WAYS, note, rounded(steer.largest * ANGLES[unit]))
 
 
 def _command(steer: Scalar, straight: float | None) -> Entry:
     """Return a steering command scaled to -1..1 by its unit or by its values."""
     guess = steer.guess
     if guess.rank == MOTION:
-        return Entry(guess, *motion_lines("steer", steer.values, guess.unit))
+        return Entry(guess, *motion_settings("steer", steer.values, guess.unit))
     wrap, values = steer.unwrapped
     low, high = np.percentile(values, (0.5, 99.5))
     largest, curvature = max(-low, high), is_named("curvature", *guess.fields)
-    if largest > LARGEST_SHARE and (stated := unit_line("steer", guess)):
-        return Entry(guess, (*wrap, *stated), "in the unit of the log")
-    lines: tuple[str, ...] = ()
+    settings: dict[str, Any] = {}
     note, middle = "", None
+    if largest > LARGEST_SHARE and (stated := unit_setting("steer", guess)):
+        return Entry(guess, wrap | stated, "in the unit of the log")
     if largest > LARGEST_SHARE and not curvature:
-        middle = steering_middle(values, named=are_named_pulses(guess), straight=straight)
+        middle = steering_middle(values, named=_are_named_pulses(guess), straight=straight)
     if middle is not None and middle[1] > 0:
         centre, reach, note = middle
-        lines = f"scale = {number(1 / reach)}", f"offset = {number(-centre / reach)}", "clip = [-1.0, 1.0]"
+        settings = _scaled(reach, centre) | _BOTH_WAYS
     elif largest > LARGEST_SHARE or curvature:
         largest = float(np.abs(values[~find_spikes(values)]).max())
-        lines = f"scale = {number(1 / largest)}", "clip = [-1.0, 1.0]"
-        note = f"scaled by its largest value, {largest:.4g}"
+        settings, note = _scaled(largest) | _BOTH_WAYS, f"scaled by its largest value, {largest:.4g}"
         if curvature:
             note += ": a curvature, max_steer is the angle of the road wheels that it asks for"
         elif _is_angle(steer) or largest > RANGES["steering_wheel"]:
@@ -242,8 +232,8 @@ def _command(steer: Scalar, straight: float | None) -> Entry:
         elif largest < RANGES["steepest"] * 180 / np.pi:
             note += ': is it an angle of the road wheels? Then unit = "deg" instead'
     elif low > 0 and 0.3 < np.median(values) < 0.7:
-        lines, note = ("scale = 2.0", "offset = -1.0"), "0..1 read as -1..1"
-    return Entry(guess, (*wrap, *lines), note)
+        settings, note = _scaled(0.5, 0.5), "0..1 read as -1..1"
+    return Entry(guess, wrap | settings, note)
 
 
 def _is_angle(steer: Scalar) -> bool:
@@ -251,12 +241,11 @@ def _is_angle(steer: Scalar) -> bool:
     return steer.guess.channel == "steer_angle" or bool(unit and channel_unit("steer_angle", unit) is not None)
 
 
-def _to_radians(steer: Scalar) -> float:
-    """Return the factor to radians of a road wheel angle; 0 if it is too large or is the steering wheel's."""
+def _road_unit(steer: Scalar) -> str:
+    """Return the unit of a road wheel angle; "" if it is too large or is the steering wheel's."""
     guess = steer.guess
     names = (guess.topic, *guess.fields, *(parse_label(name).name for name in guess.fields))
     if guess.is_handwheel or is_named("steering_wheel", *names):
-        return 0.0
-    units = [channel_unit("steer_angle", guess.unit) or ""] if guess.unit else ["", "deg"]
-    factors = (unit_factor("steer_angle", unit) for unit in units)
-    return next((factor for factor in factors if 0 < steer.largest * factor <= RANGES["widest"]), 0.0)
+        return ""
+    units = [channel_unit("steer_angle", guess.unit) or "rad"] if guess.unit else ["rad", "deg"]
+    return next((unit for unit in units if 0 < steer.largest * ANGLES[unit] <= RANGES["widest"]), "")

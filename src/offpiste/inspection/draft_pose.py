@@ -24,7 +24,7 @@ from offpiste.rig.edits import edited
 from offpiste.rig.labels import channel_unit, is_named, named_course, named_down
 from offpiste.rig.rig import Rig
 
-_POSE: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
+POSE_CHANNELS: Final = ("position", "orientation", "yaw", "linear_velocity", "angular_velocity")
 _DENSE: Final = 4.0
 """Rate below which a pose has lower priority [1/s]."""
 _EASTING: Final = 1e6
@@ -37,13 +37,13 @@ class Entry:
     """A channel of a first rig.
 
     Attributes:
-        lines: TOML besides topic and fields.
+        settings: entries of the rig's channel besides topic and fields.
         note: what was inferred, besides the reason of the guess.
         max_angle: road wheel angle at a steering command of 1 [rad], if this channel states it, otherwise 0.
     """
 
     guess: Guess
-    lines: tuple[str, ...]
+    settings: Mapping[str, Any]
     note: str = ""
     max_angle: float = 0.0
 
@@ -54,7 +54,7 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
     If no topic has both position and heading, e.g. a GNSS receiver with an IMU, they come from separate topics, and the
     heading may be a course over ground. Poses in the Earth-centred frame are a last resort.
     """
-    usable = [g for g in guesses if g.channel not in _POSE or varies(field_values(log, g))]
+    usable = [g for g in guesses if g.channel not in POSE_CHANNELS or varies(field_values(log, g))]
     channels_of = by_topic(sorted(usable, key=_is_course))
     on_ground = {t: each for t, each in channels_of.items() if not _is_earth_centred(log, each.get("position"))}
     best = _whole_pose(log, on_ground)
@@ -70,28 +70,28 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
         others = {t: each for t, each in channels_of.items() if not any(is_named(kind, t) for kind in slips)}
         best |= _frequent(log, others, ("linear_velocity",))
     entries: dict[str, Entry] = {}
-    for channel in _POSE:
+    for channel in POSE_CHANNELS:
         if channel not in best or (channel == "yaw" and "orientation" in best):  # includes the heading
             continue
         guess = best[channel]
-        lines, note = unit_line(channel, guess), f"from {log.topics[guess.topic].type}"
+        settings, note = unit_setting(channel, guess), f"from {log.topics[guess.topic].type}"
         values = field_values(log, guess)
         if channel == "orientation" and values is not None and w_comes_first(guess.fields, values):
             guess, note = replace(guess, fields=(*guess.fields[1:], guess.fields[0])), f"{note}; w comes first"
         elif channel == "position" and guess.unit == GEOGRAPHIC and values is not None:
             if (each := degrees_each(values[:, 0], values[:, 1])) != 1:
-                guess, lines = replace(guess, fields=guess.fields[:2]), (*lines, f"scale = {each:.12g}")
+                guess, settings["scale"] = replace(guess, fields=guess.fields[:2]), float(f"{each:.12g}")
         elif channel == "linear_velocity":
             down = len(guess.fields) == 3 and named_down(guess.fields[2])
             if down and not any(map(named_down, entries["position"].guess.fields)):
                 guess = replace(guess, fields=(guess.fields[1], guess.fields[0]))  # swap to the axes of a z-up position
-            lines += (f'frame = "{frame}"',)
+            settings["frame"] = frame
             note += "" if frame == "unknown" else "; frame by the pose"
         elif channel == "angular_velocity":
-            lines, note = (*lines, 'frame = "body"'), f"{note}; in the body's frame, as gyroscopes measure"
+            settings["frame"], note = "body", f"{note}; in the body's frame, as gyroscopes measure"
         elif channel == "yaw" and not guess.unit and values is not None:
-            lines += degrees(values[:, 0])
-        entries[channel] = Entry(guess, lines, note)
+            settings |= degrees(values[:, 0])
+        entries[channel] = Entry(guess, settings, note)
     return entries
 
 
@@ -110,7 +110,7 @@ def _whole_pose(log: Log, channels_of: Mapping[str, Mapping[str, Guess]]) -> dic
     def score(topic: str) -> tuple[bool, bool, bool, int, bool, int]:
         last = is_named("wheels", topic)
         drifts = corrected and (last or is_named("odometry", topic)) and not is_named("corrected", topic)
-        kinds = sum(channel in _POSE for channel in whole[topic])
+        kinds = sum(channel in POSE_CHANNELS for channel in whole[topic])
         return topic in often, _has_heading(whole[topic]), not drifts, kinds, not last, log.topics[topic].count
 
     return dict(whole[max(spans, key=score)]) if spans else {}
@@ -151,25 +151,25 @@ def _frequent(log: Log, channels_of: Mapping[str, Mapping[str, Guess]], *kinds: 
     return {guess.channel: guess for guess in found if guess is not None} if all(found) else {}
 
 
-def unit_line(channel: str, guess: Guess) -> tuple[str, ...]:
+def unit_setting(channel: str, guess: Guess) -> dict[str, Any]:
     """Return the unit stated by the log if it is valid for the channel and not the default."""
     unit = channel_unit(channel, guess.unit)
-    return (f'unit = "{unit}"',) if unit else ()
+    return {"unit": unit} if unit else {}
 
 
-def degrees(values: Float[np.ndarray, " n"]) -> tuple[str, ...]:
+def degrees(values: Float[np.ndarray, " n"]) -> dict[str, Any]:
     """Return the unit of an angle too large for radians.
 
     Autopilots use hundredths of a degree, and u-blox receivers 1e-5 degrees.
     """
     largest, spanned = np.abs(values).max(), np.ptp(values)
     if spanned > 20 and largest <= 361:
-        return ('unit = "deg"',)
+        return {"unit": "deg"}
     whole = bool((values == np.round(values)).all())
     for each in (1e-2, 1e-5):
         if whole and spanned > 20 / each and largest <= 361 / each:
-            return f"scale = {each:g}", 'unit = "deg"'
-    return ()
+            return {"scale": each, "unit": "deg"}
+    return {}
 
 
 def varies(values: Float[np.ndarray, "n k"] | None) -> bool:

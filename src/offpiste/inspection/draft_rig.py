@@ -1,7 +1,7 @@
 """First rig for a log, guessed from names and values; a comment states each guess."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from textwrap import wrap
@@ -13,29 +13,29 @@ from msgspec import structs
 from offpiste.core.errors import OffpisteError, RigError
 from offpiste.inspection.by_motion import find_controls, find_heading
 from offpiste.inspection.clocks import read_by_arrival
-from offpiste.inspection.draft_channels import NOTHING, Facts, draft_channels
+from offpiste.inspection.draft_channels import Facts, draft_channels
 from offpiste.inspection.draft_controls import LARGEST_SHARE
 from offpiste.inspection.draft_pose import Entry, draft_pose, points_down, pose_cure, varies
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
     SMALL_CAR,
     USUAL_STEER,
-    Driven,
-    driven,
     full_curvature,
     shown_wheelbase,
     steering_straight,
     vehicle_size,
     wheels_of,
 )
+from offpiste.inspection.driven_path import DrivenPath, driven_path
 from offpiste.inspection.gear import reverses_by_pedal
-from offpiste.inspection.missing import no_pose, steering_candidates, why_missing
+from offpiste.inspection.missing import steering_candidates, why_missing
 from offpiste.inspection.naming import MOTION, Guess, field_values, guess_channels
 from offpiste.inspection.recorded_log import ReceivedLog, is_bulk
-from offpiste.inspection.response import steering_fit, turn_rate_fit
+from offpiste.inspection.response import steering_fit, steering_fits, turn_rate_fit
 from offpiste.inspection.usual_ranges import RANGES
 from offpiste.inspection.velocity import fit_frames
 from offpiste.logs.channel import read_channel
+from offpiste.logs.drive import Drive, drive_from_log
 from offpiste.logs.log import Log, Topic
 from offpiste.rig.channels import ANGLES, ChannelSource, Clock, undeclared
 from offpiste.rig.edits import edited, toml_value
@@ -86,23 +86,16 @@ class Draft:
 
     log: Log
     guesses: tuple[Guess, ...]
-    facts: Facts = NOTHING
+    facts: Facts = field(default_factory=Facts)
 
     @cached_property
     def entries(self) -> dict[str, Entry]:
-        """Channels.
-
-        Raises:
-            LogError: no pose was found, or its samples cannot be read.
-        """
-        entries = draft_channels(self.log, self.guesses, self.facts)
-        if "position" not in entries or not {"orientation", "yaw"} & set(entries):
-            raise no_pose(self.log)
-        return entries
+        """Channels; see `draft_channels` for errors."""
+        return draft_channels(self.log, self.guesses, self.facts)
 
     @cached_property
     def text(self) -> str:
-        """TOML; see `entries` for errors."""
+        """TOML; see `draft_channels` for errors."""
         log, entries, absent = self.log, self.entries, undeclared(self.entries)
         parts = [_header(self, absent)]
         for control, words in _MISSING.items():
@@ -117,7 +110,7 @@ class Draft:
 
     @cached_property
     def rig(self) -> Rig:
-        """Rig of the text; see `entries` for errors."""
+        """Rig of the text; see `draft_channels` for errors."""
         return parse_rig(self.text, where="the drafted rig")
 
     def changed(self, channel: str, **changes: Any) -> "Draft":
@@ -146,19 +139,27 @@ def draft_rig(log: Log, namespace: str = "") -> str:
         draft = _with_shares(draft)
     found = find_controls(log, edited(draft.rig, posed))
     draft = replace(draft, guesses=(*draft.guesses, *found.values()))
-    seen = driven(log, edited(draft.rig, posed))
-    wheelbase = shown_wheelbase(seen)
+    if (seen := _driven(log, edited(draft.rig, posed))) is None:
+        return draft.text
+    wheelbase = shown_wheelbase(*seen, steering_fits(*seen).get("steer_angle"))
     if wheelbase > RANGES["wheelbases"][1]:
         draft = draft.changed("steer_angle", is_handwheel=True)
-        seen = driven(log, edited(draft.rig, posed))
-    rig = edited(draft.rig, posed)
-    steering = None if seen is None else seen.steering("steer")
+        seen = _driven(log, edited(draft.rig, posed)) or seen
+    rig, steering = seen[0].rig, steering_fits(*seen).get("steer")
     unit = next((str(edit.value) for edit in posed if edit.key == "channels.yaw.unit"), "")
-    if unit and not (yaw := draft.entries["yaw"]).guess.unit and "scale" not in str(yaw.lines):
+    if unit and not (yaw := draft.entries["yaw"]).guess.unit and "scale" not in yaw.settings:
         draft = draft.changed("yaw", unit=unit, why=f"{yaw.guess.why}; in {unit} by the course")
     size = vehicle_size(wheelbase, full_curvature(log, rig, steering), rig)
-    facts = Facts(_frame(seen), *size, steering_straight(rig, steering), reverses_by_pedal(log, rig))
+    facts = Facts(_frame(*seen), *size, steering_straight(rig, steering), reverses_by_pedal(log, rig))
     return replace(draft, facts=facts).text
+
+
+def _driven(log: Log, rig: Rig) -> tuple[Drive, DrivenPath] | None:
+    """Return the drive as read through a rig, and the driven path; None if that fails."""
+    try:
+        return (drive := drive_from_log(log, rig)), driven_path(drive)
+    except OffpisteError:
+        return None
 
 
 def _guesses(log: Log, namespace: str) -> tuple[Guess, ...]:
@@ -173,13 +174,13 @@ def _guesses(log: Log, namespace: str) -> tuple[Guess, ...]:
 def _are_shares(log: Log, rig: Rig) -> bool:
     """Return True if a field named as a turn rate is the steering: the yaw rate follows it times the speed."""
     source = rig.channels.get("steer")
-    seen = driven(log, rig) if source is not None and source.turns else None
+    seen = _driven(log, rig) if source is not None and source.turns else None
     if source is None or seen is None:
         return False
     plain = structs.replace(rig, channels={**rig.channels, "steer": ChannelSource(source.fields[:1], source.topic)})
     try:
         channel = read_channel(log, plain, "steer", plain.channels["steer"])[0]
-        return turn_rate_fit(channel, seen.path, plain, steering_fit(channel, seen.path, plain)) is None
+        return turn_rate_fit(channel, seen[1], plain, steering_fit(channel, seen[1], plain)) is None
     except OffpisteError:
         return False
 
@@ -202,7 +203,7 @@ def _channel(topic: Topic, channel: str, entry: Entry) -> str:
     joints = [topic.joint_of(field) for field in fields]
     why = "; ".join(filter(None, (f"GUESSED {entry.guess.why}", entry.note)))
     lines = [f"[channels.{channel}]  # {why}{named}", f"topic = {toml_value(topic.name)}"]
-    lines += [f"fields = {toml_value(fields)}", *entry.lines]
+    lines += [f"{key} = {toml_value(value)}" for key, value in ({"fields": fields} | entry.settings).items()]
     return "\n".join([*lines, *([f"joints = {toml_value(joints)}"] if all(joints) else []), ""])
 
 
@@ -216,8 +217,11 @@ def _header(draft: Draft, absent: list[str]) -> str:
     stated = next((entry for entry in draft.entries.values() if entry.max_angle), None)
     origin = "; by the yaw rate, for this wheelbase" if facts.max_steer and not facts.assumed else ""
     if stated is not None:  # an angle, or a command that turns the wheels by one
-        is_angle = any(f'unit = "{unit}"' in stated.lines for unit in ANGLES)
-        origin = "; the largest of this log" if is_angle else "; by the steering angle of this log"
+        origin = (
+            "; the largest of this log"
+            if stated.settings.get("unit") in ANGLES
+            else "; by the steering angle of this log"
+        )
     return _HEADER.format(
         name=name,
         quoted=toml_value(name),
@@ -257,9 +261,8 @@ def _unread(log: Log, entries: Mapping[str, Entry]) -> list[str]:
     return [*(f"# {line}" for line in lines), ""] if lines else []
 
 
-def _frame(seen: Driven | None) -> str:
+def _frame(drive: Drive, path: DrivenPath) -> str:
     """Return the frame that best fits the recorded velocity, or "unknown" if ambiguous."""
-    if seen is None or "linear_velocity" not in seen.drive.channels:
-        return "unknown"
-    fits = sorted(fit_frames(seen.drive, seen.path).values(), key=lambda fit: fit.misfit)
-    return fits[0].frame if fits and fits[0].misfit < 0.3 else "unknown"
+    fits = fit_frames(drive, path) if "linear_velocity" in drive.channels else {}
+    best = min(fits.values(), key=lambda fit: fit.misfit, default=None)
+    return best.frame if best is not None and best.misfit < 0.3 else "unknown"

@@ -1,17 +1,16 @@
 """Mass and wheel positions of a first rig: defaults until measured, and estimates from the motion."""
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from offpiste.core.errors import OffpisteError
 from offpiste.inspection.commanded_motion import commanded_curvature
-from offpiste.inspection.driven_path import DrivenPath, driven_path
+from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.findings import Finding
-from offpiste.inspection.response import SteeringFit, steering_fits
+from offpiste.inspection.response import SteeringFit
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.usual_ranges import RANGES
-from offpiste.logs.drive import Drive, drive_from_log
+from offpiste.logs.drive import Drive
 from offpiste.logs.log import Log
 from offpiste.rig.channels import ANGLES, unit_factor
 from offpiste.rig.edits import Edit, rounded
@@ -31,36 +30,19 @@ _CENTRE: Final = 0.01
 """Minimum offset of the steering centre from the usual one, and its maximum standard deviation."""
 
 
-class Driven(NamedTuple):
-    """A log as read through a rig, and the driven path."""
-
-    drive: Drive
-    path: DrivenPath
-
-    def steering(self, name: str) -> SteeringFit | None:
-        """Return the fit of the turning to a steering channel; None if the rig lacks it or the motion is too short."""
-        return steering_fits(self.drive, self.path).get(name)
-
-
-def driven(log: Log, rig: Rig) -> Driven | None:
-    """Read a log through a rig; None if that fails."""
-    try:
-        return Driven(drive := drive_from_log(log, rig), driven_path(drive))
-    except OffpisteError:
-        return None
-
-
-def shown_wheelbase(seen: Driven | None) -> float:
+def shown_wheelbase(drive: Drive, path: DrivenPath, fit: SteeringFit | None) -> float:
     """Return the wheelbase in yaw rate = speed * tan(angle) / wheelbase, from the steering angle and the poses [m].
 
     It is implausibly long if the angle is that of the steering wheel, which turns the vehicle less.
 
+    Args:
+        fit: of the channel `steer_angle`.
+
     Returns:
         0 without a steering angle, or if the vehicle does not clearly follow it.
     """
-    if seen is None or "steer_angle" not in seen.drive.rig.channels:
+    if "steer_angle" not in drive.channels:
         return 0.0
-    drive, path = seen
     angle = drive.channels["steer_angle"].linear(path.time, max_gap=drive.rig.clock.max_gap)[:, 0]
     turning = path.forward * np.tan(angle)
     rows = np.isfinite(turning) & np.isfinite(path.yaw_rate) & (path.speed > 0.2 * path.cruise)
@@ -70,7 +52,6 @@ def shown_wheelbase(seen: Driven | None) -> float:
     if abs(np.corrcoef(turning[rows], path.yaw_rate[rows])[0, 1]) < _CLEAR:
         return 0.0
     wheelbase = abs(float(turning[rows] @ turning[rows] / (turning[rows] @ path.yaw_rate[rows])))
-    fit = seen.steering("steer_angle")
     if fit is not None and fit.without_slip is not None and fit.without_slip.strength > _CLEAR:
         wheelbase = min(wheelbase, 1 / fit.without_slip.value)  # slip increases the apparent wheelbase
     return wheelbase

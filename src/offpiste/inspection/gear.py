@@ -51,8 +51,8 @@ _CODES: Final = frozenset(map(float, range(ord("A"), ord("Z") + 1)))
 """Character codes of letters."""
 
 
-def gear_values(guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[str, ...]:
-    """Return the meaning of recorded gears that are letters, a reverse switch or selector positions."""
+def gear_values(guess: Guess, values: Float[np.ndarray, " n"]) -> dict[str, Any]:
+    """Return `values`, the meaning of recorded gears that are letters, a reverse switch or selector positions."""
     there = {float(value) for value in np.unique(values)}
     named = (guess.topic, *guess.fields)
     numbers = {value for value in there if abs(value) <= MOST_GEARS}
@@ -65,8 +65,8 @@ def gear_values(guess: Guess, values: Float[np.ndarray, " n"]) -> tuple[str, ...
     elif there <= {0.0, 1.0, 2.0, 3.0} and any(map(_SELECTOR.search, named)):
         meanings = {str(position): gear for position, gear in enumerate(_LETTERS.values())}
     else:
-        return ()
-    return ("values = { " + ", ".join(f"{key} = {gear}" for key, gear in meanings.items()) + " }",)
+        return {}
+    return {"values": meanings}
 
 
 def check_gear(drive: Drive, path: DrivenPath, recorded: Mapping[str, Recorded]) -> list[Finding]:
