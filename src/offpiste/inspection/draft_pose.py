@@ -48,11 +48,14 @@ class Entry:
     max_angle: float = 0.0
 
 
-def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entry]:
+def choose_pose(log: Log, guesses: Sequence[Guess]) -> dict[str, Guess]:
     """Return the topic with the most pose and velocity channels, completed by the IMU or other topics.
 
     If no topic has both position and heading, e.g. a GNSS receiver with an IMU, they come from separate topics, and the
     heading may be a course over ground. Poses in the Earth-centred frame are a last resort.
+
+    Returns:
+        Guesses by channel; empty without a position or a heading.
     """
     usable = [g for g in guesses if g.channel not in POSE_CHANNELS or varies(field_values(log, g))]
     channels_of = by_topic(sorted(usable, key=_is_course))
@@ -69,6 +72,16 @@ def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entr
         slips = ("odometry", "wheels", "earth", "commanded")
         others = {t: each for t, each in channels_of.items() if not any(is_named(kind, t) for kind in slips)}
         best |= _frequent(log, others, ("linear_velocity",))
+    return best
+
+
+def draft_pose(log: Log, guesses: Sequence[Guess], frame: str) -> dict[str, Entry]:
+    """Return entries of the pose and the velocities (`choose_pose`).
+
+    Args:
+        frame: of the linear velocity.
+    """
+    best = choose_pose(log, guesses)
     entries: dict[str, Entry] = {}
     for channel in POSE_CHANNELS:
         if channel not in best or (channel == "yaw" and "orientation" in best):  # includes the heading

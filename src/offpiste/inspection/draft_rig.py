@@ -13,9 +13,8 @@ from msgspec import structs
 from offpiste.core.errors import OffpisteError, RigError
 from offpiste.inspection.by_motion import find_controls, find_heading
 from offpiste.inspection.clocks import read_by_arrival
-from offpiste.inspection.draft_channels import Facts, draft_channels
-from offpiste.inspection.draft_controls import LARGEST_SHARE
-from offpiste.inspection.draft_pose import Entry, draft_pose, points_down, pose_cure, varies
+from offpiste.inspection.draft_channels import LARGEST_SHARE, Facts, draft_channels
+from offpiste.inspection.draft_pose import Entry, choose_pose, points_down, pose_cure, varies
 from offpiste.inspection.draft_sensors import draft_sensors
 from offpiste.inspection.draft_values import (
     SMALL_CAR,
@@ -165,9 +164,8 @@ def _driven(log: Log, rig: Rig) -> tuple[Drive, DrivenPath] | None:
 def _guesses(log: Log, namespace: str) -> tuple[Guess, ...]:
     """Return the guesses by names, and a heading that only the course shows if no name is that of one."""
     guesses = tuple(guess_channels(log, namespace))
-    pose = draft_pose(log, guesses, "unknown")
     places = [guess for guess in guesses if guess.channel == "position" and varies(field_values(log, guess))]
-    heading = find_heading(log, places[0]) if places and not {"orientation", "yaw"} & set(pose) else None
+    heading = find_heading(log, places[0]) if places and not choose_pose(log, guesses) else None
     return guesses if heading is None else (*guesses, heading)
 
 
@@ -203,7 +201,7 @@ def _channel(topic: Topic, channel: str, entry: Entry) -> str:
     joints = [topic.joint_of(field) for field in fields]
     why = "; ".join(filter(None, (f"GUESSED {entry.guess.why}", entry.note)))
     lines = [f"[channels.{channel}]  # {why}{named}", f"topic = {toml_value(topic.name)}"]
-    lines += [f"{key} = {toml_value(value)}" for key, value in ({"fields": fields} | entry.settings).items()]
+    lines += [f"{key} = {toml_value(value)}" for key, value in {"fields": fields, **entry.settings}.items()]
     return "\n".join([*lines, *([f"joints = {toml_value(joints)}"] if all(joints) else []), ""])
 
 
