@@ -10,7 +10,7 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
 from offpiste.core.errors import OffpisteError
@@ -20,7 +20,7 @@ from offpiste.inspection.driven_path import STEP, DrivenPath, driven_path
 from offpiste.inspection.lags import LAGS, LagFit, fit_lags
 from offpiste.inspection.naming import Guess, field_values, is_measured_topic, labels, of_one_side
 from offpiste.inspection.response import PRIORS, pedal_fit, steering_fit, turn_rate_fit
-from offpiste.inspection.usual_ranges import are_pulses, is_signed, pulse_at_rest, rests_between, rests_high
+from offpiste.inspection.usual_ranges import is_signed, pulse_at_rest, rests_between, rests_high
 from offpiste.logs.channel import Channel, read_channel
 from offpiste.logs.drive import drive_from_log
 from offpiste.logs.log import Log, Samples
@@ -62,19 +62,22 @@ def find_heading(log: Log, place: Guess) -> Guess | None:
     It may be clockwise or counter-clockwise with any zero direction, in radians or degrees.
     """
     time, xy = _finite(log.read(place.topic, place.fields[:2]))
-    if len(time) < _LEAST:
+    at = np.arange(time[0], time[-1] - _APART, _APART) if len(time) else time
+    if len(at) < _LEAST:
         return None
     if place.unit == GEOGRAPHIC:
         xy = local_from_geographic(xy)
-    at = np.arange(time[0], time[-1] - _APART, _APART)
     way = xy[_before(time, at + _APART)] - xy[_before(time, at)]
     length = np.linalg.norm(way, axis=1)
-    moves = length > 0.5 * np.percentile(length, 90) if len(at) else np.zeros(0, bool)
+    moves = length > 0.5 * np.percentile(length, 90)
     course = np.arctan2(way[moves, 1], way[moves, 0])
     if moves.sum() < _LEAST or abs(np.exp(1j * course).mean()) > _ONE_WAY:
         return None
     found: list[tuple[float, Guess]] = []
-    for topic, field in _angles(log, place):
+    fields = [(name, field) for name, topic in log.topics.items() if not topic.part_of for field in topic.fields]
+    for topic, field in fields:
+        if field in (log.clock.column, *place.fields) or is_named("commanded", f"{topic} {field}"):
+            continue
         try:
             stamps, values = _finite(log.read(topic, (field,)))
         except OffpisteError:
@@ -84,19 +87,10 @@ def find_heading(log: Log, place: Guess) -> Guess | None:
         angle = values[_before(stamps, at[moves] + _APART / 2), 0]  # the last sample, as angles may wrap in between
         for sign, unit in product((1, -1), ("rad", "deg")):
             away = course - sign * unit_factor("yaw", unit) * angle
-            guess = Guess("yaw", topic, (field,), unit, why="by its numbers: the course of the position follows it")
-            found.append((float(abs(np.exp(1j * away).mean())), guess))
+            why = "by its numbers: the course of the position follows it"
+            found.append((float(abs(np.exp(1j * away).mean())), Guess("yaw", topic, (field,), unit, why=why)))
     follows, best = max(found, key=lambda pair: pair[0], default=(0.0, None))
     return best if follows > _ALONG else None
-
-
-def _angles(log: Log, place: Guess) -> Iterator[tuple[str, str]]:
-    """Yield topics and fields that are neither positions nor commands."""
-    for topic in log.topics.values():
-        for field in topic.fields:
-            known = topic.part_of or field in (log.clock.column, *place.fields)
-            if not known and not is_named("commanded", f"{topic.name} {field}"):
-                yield topic.name, field
 
 
 def _finite(samples: Samples) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n k"]]:
@@ -106,9 +100,9 @@ def _finite(samples: Samples) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray
     return samples.time[known][order], samples.values[known][order]
 
 
-def _before(time: Float[np.ndarray, " n"], at: Float[np.ndarray, " m"]) -> np.ndarray:
+def _before(time: Float[np.ndarray, " n"], at: Float[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
     """Return the row of the last sample before each time."""
-    return np.maximum(np.searchsorted(time, at) - 1, 0)
+    return np.asarray(np.maximum(np.searchsorted(time, at) - 1, 0))
 
 
 @dataclass(frozen=True)
@@ -237,10 +231,10 @@ def _in_order(pair: Sequence[_Candidate]) -> list[_Candidate]:
 def _pressed(channel: Channel) -> Channel | None:
     """Return a pedal from 0 upwards, or the upper half of a stick or pulses; None if neither fits."""
     values: Float[np.ndarray, "n 1"] = channel.values
-    high, pulses = rests_high(values[:, 0]), are_pulses(values[:, 0], named=False)
-    rest = pulse_at_rest(values[:, 0]) if pulses else 0.0
+    high, pulse = rests_high(values[:, 0]), pulse_at_rest(values[:, 0], named=False)
+    rest = pulse or 0.0
     # Long driving at full throttle is also at an end of the range.
-    if (pulses or is_signed(values[:, 0])) and (high is None or rests_between(values[:, 0], rest)):
+    if (pulse or is_signed(values[:, 0])) and (high is None or rests_between(values[:, 0], rest)):
         return replace(channel, values=np.maximum(values - rest, 0.0)) if channel.name == "throttle" else None
     if high is None:
         return None

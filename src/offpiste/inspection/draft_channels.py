@@ -16,7 +16,6 @@ from offpiste.inspection.naming import ACCELERATOR, FALLBACK, MEASURED, MOTION, 
 from offpiste.inspection.signal_faults import find_spikes, find_wrap
 from offpiste.inspection.usual_ranges import (
     RANGES,
-    are_pulses,
     full_scale,
     held_range,
     is_signed,
@@ -198,9 +197,8 @@ def _signed_pedal(scalars: Mapping[str, _Scalar], *, backwards: bool = False) ->
         return {}
     guess, (low, high) = throttle.guess, held_range(throttle.values)
     words, rest = f"{low:.4g}..{high:.4g} seen", 0.0
-    if are_pulses(throttle.values, named=_are_named_pulses(guess)):
-        rest = pulse_at_rest(throttle.values)
-        full = RANGES["full_pulse"] - rest
+    if pulse := pulse_at_rest(throttle.values, named=_are_named_pulses(guess)):
+        rest, full = pulse, RANGES["full_pulse"] - pulse
         settings = _scaled(full, rest)
         words += f", pulses (is full throttle {RANGES['full_pulse']:g}?)"
     elif _is_two_way(throttle, is_only="brake" not in scalars):
@@ -262,7 +260,13 @@ def _steering(scalars: Mapping[str, _Scalar], facts: Facts) -> dict[str, Entry]:
         unit = unit or (_road_unit(angle) if alike else "")
     if unit and angle is None and not command.guess.is_command:
         angle = command
-    entry = _from_angle(command, unit, measured=command is angle) if unit else _command(command, facts.straight)
+    if unit:
+        note = "an angle of the road wheels, which is divided by max_steer"
+        note += "; no command is recorded, and the angle stands for it" if command is angle else ""
+        settings, largest = {"unit": unit} | _BOTH_WAYS, rounded(command.largest * ANGLES[unit])
+        entry = Entry(command.guess, settings, note, largest)
+    else:
+        entry = _command(command, facts.straight)
     if angle is None:
         return {"steer": entry} | handwheel
     unit = _road_unit(angle)
@@ -281,13 +285,6 @@ def _from_handwheel(steer: _Scalar | None, angle: _Scalar, max_steer: float) -> 
         return {}
     of = f"of a steering wheel, of which {steer.largest:.4g} turn the road wheels by max_steer; correct it with that"
     return {"steer_angle": Entry(angle.guess, _scaled(steer.largest / max_steer), of)}
-
-
-def _from_angle(steer: _Scalar, unit: str, *, measured: bool) -> Entry:
-    """Return a steering command from an angle, scaled to 1 at its maximum, the vehicle's `max_steer`."""
-    note = "an angle of the road wheels, which is divided by max_steer"
-    note += "; no command is recorded, and the angle stands for it" if measured else ""
-    return Entry(steer.guess, {"unit": unit} | _BOTH_WAYS, note, rounded(steer.largest * ANGLES[unit]))
 
 
 def _command(steer: _Scalar, straight: float | None) -> Entry:

@@ -351,13 +351,12 @@ def _first_match(topic: Topic, field: str, label: Label) -> Iterator[Guess]:
             return
 
 
-def _all_scalars() -> Iterator[tuple[str, int, re.Pattern[str]]]:
-    """Yield scalar channels with rank and pattern of their names: registered ones, the vocabulary, built-in ones."""
-    controls = [(control.name, control.pattern, control in CONTROLS) for control in all_controls()]
-    actuators = [(actuator.channel, actuator.pattern, actuator in ACTUATORS) for actuator in all_actuators()]
-    named = [
-        (ships, (name, 0, re.compile(names, re.IGNORECASE))) for name, names, ships in controls + actuators if names
-    ]
-    yield from (row for ships, row in named if not ships)
-    yield from _SCALARS
-    yield from (row for ships, row in named if ships)
+def _all_scalars() -> tuple[tuple[str, int, re.Pattern[str]], ...]:
+    """Return scalar channels with rank and pattern of their names: registered ones, the vocabulary, built-in ones."""
+    declared = [(control.name, control.pattern, control in CONTROLS) for control in all_controls()]
+    declared += [(actuator.channel, actuator.pattern, actuator in ACTUATORS) for actuator in all_actuators()]
+    registered, ours = (
+        [(name, 0, re.compile(names, re.IGNORECASE)) for name, names, ships in declared if names and ships == built_in]
+        for built_in in (False, True)
+    )
+    return (*registered, *_SCALARS, *ours)

@@ -158,7 +158,13 @@ def steering_middle(
     """
     low, high = (float(end) for end in np.percentile(values, (0.5, 99.5)))
     seen, pulses = f"{low:.4g}..{high:.4g} seen", are_pulses(values, named=named)
-    full = next((full for full in RANGES["middles"] if _is_half(values, low, high, full)), 0.0)
+    half = float(np.median(values))
+
+    def is_usual(full: float) -> bool:
+        central = _CENTRAL[0] * full <= half <= _CENTRAL[1] * full
+        return low >= 0 and high <= 1.02 * full and high - low >= _REACHED * full and central
+
+    full = next(filter(is_usual, RANGES["middles"]), 0.0)
     if low == high or not (pulses or full or low > 0):  # a constant steering shows no full lock
         return None
     if pulses or straight is not None:
@@ -171,14 +177,13 @@ def steering_middle(
     return (low + high) / 2, (high - low) / 2, f"{seen}: is their middle straight ahead?"
 
 
-def _is_half(values: Float[np.ndarray, " n"], low: float, high: float, full: float) -> bool:
-    """Return whether straight ahead is half of a full scale, judging by range and median."""
-    central = _CENTRAL[0] * full <= np.median(values) <= _CENTRAL[1] * full
-    return bool(low >= 0 and high <= 1.02 * full and high - low >= _REACHED * full and central)
+def pulse_at_rest(values: Float[np.ndarray, " n"], *, named: bool) -> float | None:
+    """Return the released pulse of a speed controller [us]; None if values are no pulses (`are_pulses`).
 
-
-def pulse_at_rest(values: Float[np.ndarray, " n"]) -> float:
-    """Return the released pulse of a speed controller [us]: the centre, or the minimum if it is more frequent."""
+    It is the centre, or the minimum if that is more frequent.
+    """
+    if not are_pulses(values, named=named):
+        return None
     middle, begins = RANGES["middle_pulse"], RANGES["begins"]
     near = float(np.mean(np.abs(values - middle) <= 0.05 * (RANGES["full_pulse"] - middle)))
     forward_only = np.percentile(values, 1) <= begins and np.mean(values <= begins) > near
