@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from simulated import MAX_STEER, WHEELBASE, MemoryLog, drive_log, severe
 
+from offpiste.inspection.draft_rig import draft_rig
+from offpiste.logs.log import Log as TopicLog
 from offpiste.logs.log import Topic
 from offpiste.rig.edits import edited
-from offpiste.rig.rig import Rig
+from offpiste.rig.rig import Rig, parse_rig
 
 LOGGERS: Mapping[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_name("loggers.toml").read_text("utf-8"))
 CLEAN = drive_log()
@@ -101,6 +103,11 @@ def logger(name: str) -> MemoryLog:
     log = log_of(poses | topics | (COMMANDS if more.get("commands") else {}))
     log.types, log.joints = more.get("types", {}), more.get("joints", {})
     return log
+
+
+def drafted(log: TopicLog, namespace: str = "") -> Rig:
+    """The first rig of a log."""
+    return parse_rig(draft_rig(log, namespace), where="draft")
 
 
 def assert_drafted(rig: Rig, channels: Mapping[str, Any]) -> None:

@@ -2,16 +2,12 @@
 
 import numpy as np
 import pytest
-from loggers import CLEAN, ODOM, QUANTITIES, TIME
+from loggers import CLEAN, ODOM, QUANTITIES, TIME, drafted
 from simulated import MAX_STEER, MemoryLog, drive_log
 
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.draft_sensors import missing
-from offpiste.rig.rig import Rig, parse_rig
-
-
-def _drafted(log: MemoryLog) -> Rig:
-    return parse_rig(draft_rig(log), where="draft")
+from offpiste.rig.rig import parse_rig
 
 
 @pytest.mark.parametrize("name", ["mapping/icp_odom", "ground_truth/pose"])
@@ -21,7 +17,7 @@ def test_a_plain_odometry_comes_after_a_pose_that_is_corrected_and_dense(name: s
     some = slice(None) if dense else slice(None, None, 20)
     pose = {field: values[some] for field, values in ODOM.items() if field[0] not in "vw"}
     log = MemoryLog({"base/odom": (TIME, ODOM), name: (TIME[some], pose)})
-    channels = _drafted(log).channels
+    channels = drafted(log).channels
     assert channels["position"].topic == (name if dense else "base/odom")
     assert ("linear_velocity" in channels) == (not dense)
 
@@ -30,17 +26,17 @@ def test_a_velocity_of_its_own_topic_gets_the_frame_that_fits() -> None:
     pose = {name: values for name, values in ODOM.items() if name[0] not in "vw"}
     world = {f"twist.linear.{axis}": QUANTITIES[of] for axis, of in zip("xyz", ("east", "north", "vz"), strict=True)}
     log = MemoryLog(CLEAN.data | {"odom": (TIME, pose), "velocity": (TIME, world)})
-    velocity = _drafted(log).channels["linear_velocity"]
+    velocity = drafted(log).channels["linear_velocity"]
     assert (velocity.topic, velocity.frame) == ("velocity", "world")
     asked = MemoryLog({("cmd_" if name[0] == "v" else "") + name: data for name, data in log.data.items()})
-    assert "linear_velocity" not in _drafted(asked).channels
+    assert "linear_velocity" not in drafted(asked).channels
 
 
 @pytest.mark.parametrize(("trim", "sign"), [(-13.0, -1.0), (31.0, 1.0)])
 def test_a_trimmed_servo_goes_straight_where_the_motion_says(trim: float, sign: float) -> None:
     time, steering = CLEAN.data["steering"]
     pulses = np.round(1500 + trim + sign * 400 * steering["command"] / np.abs(steering["command"]).max())
-    servo = _drafted(MemoryLog({"odom": (TIME, ODOM), "servo": (time, {"servo_us": pulses})})).channels["steer"]
+    servo = drafted(MemoryLog({"odom": (TIME, ODOM), "servo": (time, {"servo_us": pulses})})).channels["steer"]
     assert -servo.offset / servo.scale == pytest.approx(1500 + trim, abs=3)
     reach = np.abs(pulses - 1500 - trim).max()
     assert 1 / servo.scale == pytest.approx(reach, abs=4)
@@ -69,7 +65,7 @@ TWO_ROBOTS = MemoryLog({f"/{robot}/{topic}": data for number, robot in enumerate
 
 @pytest.mark.parametrize("namespace", ["/robot1", "robot2/"])
 def test_a_namespace_chooses_one_of_several_vehicles(namespace: str) -> None:
-    channels = parse_rig(draft_rig(TWO_ROBOTS, namespace), where="test").channels
+    channels = drafted(TWO_ROBOTS, namespace).channels
     assert {source.topic.split("/")[1] for source in channels.values()} == {namespace.strip("/")}
     assert {"position", "throttle", "brake", "steer"} <= set(channels)
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from unittest.mock import ANY
 
 import pytest
-from loggers import QUANTITIES, TIME
+from loggers import QUANTITIES, TIME, drafted
 
 from offpiste.core.errors import LogError
 from offpiste.inspection.draft_rig import draft_rig
@@ -13,7 +13,7 @@ from offpiste.logs.formats.bag import BagLog
 from offpiste.logs.ros.writer import McapWriter, make
 from offpiste.logs.transforms import STAMPED
 from offpiste.rig.edits import Edit, edited
-from offpiste.rig.rig import Rig, parse_rig
+from offpiste.rig.rig import Rig
 from sensor_bags import stamp, transforms
 
 ROWS = 2000
@@ -40,7 +40,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> BagLog:
 
 @pytest.fixture(scope="module")
 def rig(log: BagLog) -> Rig:
-    return parse_rig(draft_rig(log), where="test")
+    return drafted(log)
 
 
 def named(rig: Rig, topic: str) -> Rig:

@@ -1,10 +1,25 @@
 """First rigs of logs as drivers, stacks, simulators, autopilots and loggers write them."""
 
-import re
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
-from loggers import COMMANDS, LOGGERS, ODOM, PEDALS, POSE, QUANTITIES, TIME, YAW, assert_drafted, cured, log_of, logger
+from loggers import (
+    COMMANDS,
+    LOGGERS,
+    ODOM,
+    PEDALS,
+    POSE,
+    QUANTITIES,
+    TIME,
+    YAW,
+    assert_drafted,
+    cured,
+    drafted,
+    log_of,
+    logger,
+)
 from simulated import MemoryLog
 
 from offpiste.core.errors import LogError
@@ -13,11 +28,6 @@ from offpiste.inspection.inspect import inspect_log
 from offpiste.inspection.naming import guess_channels
 from offpiste.logs.drive import drive_from_log
 from offpiste.rig.edits import Edit, edited
-from offpiste.rig.rig import Rig, parse_rig
-
-
-def drafted(log: MemoryLog) -> Rig:
-    return parse_rig(draft_rig(log), where="draft")
 
 
 @pytest.mark.parametrize("name", LOGGERS)
@@ -28,44 +38,14 @@ def test_channels_are_found_in_logs_of(name: str) -> None:
     assert cured(log, rig) == []
 
 
-FIRST = """
-steer_pwm throttle_pwm: steer steer_pwm, throttle throttle_pwm; steering_torque steering_cmd: steer steering_cmd
-steering_torque steering_rate steering_pos: steer_angle steering_pos; MotorTorqueReq: throttle MotorTorqueReq
-steering_angle_cmd steering_torque_cmd drive_torque_cmd brake_torque_cmd: throttle drive_torque_cmd
-parking_brake brake_light brake_pedal: brake brake_pedal; brake_temp_fl brakePressed brake: brake brake
-brake_psi yaw_deg: yaw yaw_deg, brake_pressure brake_psi; brake_pct brake_front_bar: brake_pressure brake_front_bar
-park_brake_psi brake_line_psi: brake_pressure brake_line_psi; gyro_yaw yaw: yaw yaw, yaw_rate gyro_yaw
-Engine_Speed Vehicle_Speed: engine_rpm Engine_Speed, wheel_speed Vehicle_Speed
-rpm_fl rpm_fr rpm_rl rpm_rr: wheel_speed rpm_fl
-head_mot head_veh imu_yaw lat: yaw head_veh; compass_deg cog_deg lat: yaw compass_deg; bearing lat: yaw bearing
-is_wheel_spd_fl_valid wheel_spd_fl wheel_spd_fr wheel_spd_rl wheel_spd_rr: wheel_speed wheel_spd_fl
-PN PE PD: position PE
-GForceLat GForceLong latitude longitude: position latitude; v_lat v_lon a_lat lat lon: position lat
-timestamp tx ty tz qx qy qz qw: position tx; tx ty tz lat lon: position lat; fx fy fz tx ty tz x y: position x
-estimated_curvature commanded_curvature: steer commanded_curvature; APPS1 APPS2: throttle APPS1
-thr_pct brk_pct str_cmd: throttle thr_pct, brake brk_pct, steer str_cmd; tps p_brake_f: throttle tps
-p_brake_f: brake_pressure p_brake_f; brake_pressure: brake_pressure brake_pressure
-a commands/servo/position: steer commands/servo/position
-DM.Steer.AngVel DM.Steer.Ang: steer_angle DM.Steer.Ang; handlebar tiller: steer handlebar; shift_cmd: gear shift_cmd
-ang_vel_z n: yaw_rate ang_vel_z; desired_yaw_rate yaw_rate: yaw_rate yaw_rate; desired_yaw angle_yaw_1: yaw angle_yaw_1
-euler.x euler.y euler.z: yaw euler.z; ypr.x ypr.y ypr.z: yaw ypr.x; road_wheel_angle n: steer_angle road_wheel_angle
-delta_f n: steer_angle delta_f; normalized_steering_angle wheel_angle: steer_angle wheel_angle
-steering_rate actual_steer: steer_angle actual_steer; bps_front n m: brake bps_front; pps n m: throttle pps
-motor_cmd n: throttle motor_cmd; accel n: throttle accel; travel_direction n: gear travel_direction
-propulsive_linear_effort_x n: throttle propulsive_linear_effort_x; goal_x goal_y x y: position x
-resistive_linear_effort_x n: brake resistive_linear_effort_x; wind_speed v_ego: wheel_speed v_ego
-propulsive_rotational_effort_z n: steer propulsive_rotational_effort_z
-engine_speed speed_wheels: wheel_speed speed_wheels
-"""
-"""Columns, and for each channel the one that is read."""
+NAMES = tomllib.loads(Path(__file__).with_name("names.toml").read_text("utf-8"))
 
 
-@pytest.mark.parametrize("case", re.split(r"[;\n]\s*", FIRST.strip()))
-def test_the_most_informative_of_several_columns_comes_first(case: str) -> None:
-    columns, wanted = case.split(": ")
-    log = MemoryLog({"": (TIME, dict.fromkeys(columns.split(), ODOM["x"]))})
-    for channel, first in (each.split() for each in wanted.split(", ")):
-        assert next(guess.fields[0] for guess in guess_channels(log) if guess.channel == channel) == first
+@pytest.mark.parametrize("columns", NAMES)
+def test_the_most_informative_of_several_columns_comes_first(columns: str) -> None:
+    guesses = guess_channels(MemoryLog({"": (TIME, dict.fromkeys(columns.split(), ODOM["x"]))}))
+    for channel, first in NAMES[columns].items():
+        assert next(guess.fields[0] for guess in guesses if guess.channel == channel) == first
 
 
 @pytest.mark.parametrize("asked", ["wheel_angle_setpoint", "desired_angle", "target"])

@@ -74,10 +74,6 @@ class _Scalar:
     guess: Guess
     values: Float[np.ndarray, " n"]
 
-    def of(self, **changes: Any) -> "_Scalar":
-        """Return the same values with a changed guess."""
-        return replace(self, guess=replace(self.guess, **changes))
-
     @cached_property
     def largest(self) -> float:
         """Maximum magnitude without spikes."""
@@ -104,9 +100,10 @@ def draft_channels(log: Log, guesses: Sequence[Guess], facts: Facts) -> dict[str
     if "brake" not in scalars and "brake_pressure" in scalars:
         scalars["brake"] = scalars.pop("brake_pressure")  # used as the command
     if "steer" not in scalars and "steer_angle" in scalars and scalars["steer_angle"].guess.rank == MEASURED:
-        angle = scalars.pop("steer_angle")
         # Without a command, a position of any unit is the steering; a joint's position is an angle.
-        scalars["steer"] = angle if is_array_entry(angle.guess.fields[0]) else angle.of(channel="steer")
+        angle = scalars.pop("steer_angle")
+        channel = "steer_angle" if is_array_entry(angle.guess.fields[0]) else "steer"
+        scalars["steer"] = replace(angle, guess=replace(angle.guess, channel=channel))
     steering = _steering(scalars, facts)
     others = {name: _entry(name, scalar) for name, scalar in scalars.items() if name not in ("steer", "steer_angle")}
     return entries | others | _signed_pedal(scalars, backwards=facts.backwards) | steering
