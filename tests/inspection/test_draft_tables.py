@@ -14,7 +14,6 @@ from offpiste.inspection.draft_pose import pose_cure
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.draft_sensors import missing
 from offpiste.inspection.draft_values import check_draft_values
-from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
 from offpiste.logs import open_log
 from offpiste.logs.drive import drive_from_log
@@ -37,7 +36,7 @@ def driven(seconds: float = 40.0) -> dict[str, np.ndarray]:
     return {
         "t": t, "x": x, "y": y, "yaw": np.arctan2(np.sin(yaw), np.cos(yaw)), "speed": speed, "zero": 0 * t + 0.001 * x,
         "yaw_rate": yaw_rate, "angle": angle, "pedal": pedal, "throttle": np.maximum(pedal, 0),
-        "brake": np.maximum(-pedal, 0),
+        "brake": np.maximum(-pedal, 0), "compass": (90 - np.degrees(yaw)) % 360,
     }  # fmt: skip
 
 
@@ -180,27 +179,11 @@ def test_what_was_never_measured_is_noted_until_it_is(tmp_path: Path) -> None:
     assert check_draft_values(load_rig("tartandrive2")) == []
 
 
-def compass(path: Path, columns: Columns) -> Path:
-    """The drive with a heading clockwise from north and a servo that is positive to the right."""
-    table = written(path, {**columns, "Heading [deg]": ("yaw", DEG), "Servo [deg]": ("angle", -DEG)})
-    lines = table.read_text().splitlines()
-    at = lines[0].split(",").index("Heading [deg]")
-    rows = [line.split(",") for line in lines[1:]]
-    for row in rows:
-        row[at] = f"{(90 - float(row[at])) % 360:.4f}"
-    table.write_text("\n".join([lines[0], *(",".join(row) for row in rows)]) + "\n")
-    return table
-
-
-def wrong(path: Path, rig: Rig) -> list[Finding]:
-    """What is wrong with a table but that it has no throttle."""
-    return [f for f in inspect_log(open_log(path), rig).findings if f.severity != "note" and f.where != "controls"]
-
-
 @pytest.mark.parametrize("names", [("Easting [m]", "Northing [m]"), ("xGPS", "yGPS")], ids=" ".join)
 def test_a_compass_is_turned_round(tmp_path: Path, names: tuple[str, str]) -> None:
-    """With x and y exchanged, heading and steering fit as well, in a mirror."""
-    path = compass(tmp_path / "drive.csv", {"t": ("t", 1), names[0]: ("x", 1), names[1]: ("y", 1)})
+    """With x and y exchanged, heading and steering (a servo, positive to the right) fit as well, in a mirror."""
+    columns = {"t": ("t", 1), names[0]: ("x", 1), names[1]: ("y", 1), "Heading [deg]": ("compass", 1)}
+    path = written(tmp_path / "drive.csv", {**columns, "Servo [deg]": ("angle", -DEG)})
     rig = drafted(path)
     assert rig.channels["position"].fields == names
     inspection = inspect_log(open_log(path))
