@@ -6,7 +6,7 @@ from offpiste.core.errors import OffpisteError
 from offpiste.inspection.checks import Topics, check_motion, check_topics
 from offpiste.inspection.course import check_course
 from offpiste.inspection.driven_path import MOVING, DrivenPath, driven_path
-from offpiste.inspection.findings import Finding, found, is_fatal, ranked
+from offpiste.inspection.findings import Finding, found, is_fatal, ranked, unreadable
 from offpiste.inspection.heading_drift import check_fast_drift
 from offpiste.inspection.pedals import check_control_channels
 from offpiste.inspection.pose import check_orientation, check_pose, check_position_unit, leap_of
@@ -75,8 +75,7 @@ def _check_driving(log: Log, topics: Topics, rig: Rig) -> tuple[list[Finding], D
         drive = drive_from_log(log, rig)
         path = driven_path(drive)
     except OffpisteError as error:
-        unreadable = {"what": error.what, "evidence": "on reading it", "how": error.how}
-        return [*findings, found("unreadable", "log", unreadable)], None
+        return [*findings, unreadable("log", error)], None
     beside = topics.recorded[pose].fields if pose in topics.recorded else ()
     tipped = check_level(drive.channels["position"], rig, beside)
     unfit = check_position_unit(drive, path) or _check_amount(path) or (tipped if is_fatal(tipped) else [])

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from math import inf
 from typing import Any, Final, Literal
 
+from offpiste.core.errors import OffpisteError
 from offpiste.core.limits import packaged_table
 from offpiste.rig.edits import Edit
 
@@ -79,6 +80,14 @@ def found(
     what, evidence, how = (text.format(**values) for text in (message["what"], message["evidence"], advice))
     by_score: Severity = "warning" if score > message.get("warning_above", inf) else "note"
     return Finding(severity or message.get("severity", by_score), where, what, evidence, how, score, known, sure)
+
+
+def unreadable(
+    where: str, error: OffpisteError, evidence: str = "on reading it", *, severity: Severity = "fatal"
+) -> Finding:
+    """Return a finding that states an error."""
+    about = {"what": error.what, "evidence": evidence, "how": error.how}
+    return found("unreadable", where, about, severity=severity)
 
 
 def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:

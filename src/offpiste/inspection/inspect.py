@@ -13,7 +13,7 @@ from offpiste.core.progress import track
 from offpiste.inspection.draft_rig import draft_rig
 from offpiste.inspection.driven_path import DrivenPath
 from offpiste.inspection.examination import examine
-from offpiste.inspection.findings import Finding, found, is_fatal, ranked
+from offpiste.inspection.findings import Finding, is_fatal, ranked, unreadable
 from offpiste.inspection.recorded_log import Recorded, RememberedLog, with_fields_of
 from offpiste.inspection.remedies import explain
 from offpiste.inspection.sensors import can_be_checked, check_sensors
@@ -160,4 +160,4 @@ def _drafted(log: Log, namespace: str) -> tuple[Rig | None, list[Finding]]:
     try:
         return parse_rig(draft_rig(log, namespace), where="the drafted rig"), []
     except OffpisteError as error:
-        return None, [found("unreadable", "log", {"what": error.what, "evidence": UNDRAFTED, "how": error.how})]
+        return None, [unreadable("log", error, UNDRAFTED)]

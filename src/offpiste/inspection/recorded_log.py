@@ -13,7 +13,7 @@ from msgspec import structs
 
 from offpiste.core.errors import LogError
 from offpiste.core.progress import track
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, unreadable
 from offpiste.logs.channel import increasing
 from offpiste.logs.log import Log, Samples, SetBack, Topic
 from offpiste.logs.transforms import frame_pair, listed
@@ -233,7 +233,7 @@ def read_topics(
         if not fields or is_bulk(topic) or (topic.part_of and name not in used | log.near):
             continue
         readable, errors = _readable(log, name, fields, stamps)
-        findings += [Finding("warning", name or "table", e.what, "on reading it", e.how, 1.0) for e in errors]
+        findings += [unreadable(name or "table", error, severity="warning") for error in errors]
         if not readable:
             continue
         samples = log.read(name, readable, stamps=stamps)

@@ -24,7 +24,7 @@ from offpiste.calibration.samples import Gathered, Grey, SmallCamera, gather, sm
 from offpiste.core.errors import OffpisteError
 from offpiste.core.progress import track
 from offpiste.inspection.clocks import APART, DRIFT, ORIGINS
-from offpiste.inspection.findings import MESSAGES, Cure, Finding, Severity, found
+from offpiste.inspection.findings import MESSAGES, Cure, Finding, Severity, found, unreadable
 from offpiste.inspection.recorded_log import Recorded, without_values
 from offpiste.inspection.stamps import check_spans, check_stamps
 from offpiste.logs.clock_drift import clock_difference
@@ -229,8 +229,8 @@ def check_sensors(log: Log, rig: Rig, cure: Cure = ()) -> list[Finding]:
         cameras = {name: small_camera(camera) for name, camera in sensors.cameras.items()}
         gathered = gather(sensors, cameras)
     except OffpisteError as error:
-        evidence = f"on reading it{f': {error.where}' if error.where else ''}"
-        return [Finding("warning", "cameras and LiDARs", error.what, evidence, error.how, 1.0)]
+        when = f"on reading it{f': {error.where}' if error.where else ''}"
+        return [unreadable("cameras and LiDARs", error, when, severity="warning")]
     for lidar in sensors.lidars.values():
         findings += check_own_body(lidar, gathered, sensors.poses, rig.vehicle.wheel_positions)
     for name in cameras:
@@ -383,8 +383,8 @@ def check_point_times(sensors: SensorLog) -> list[Finding]:
         remedy = fault.remedy(name)
         if sensors.rig.clock.stamps == "receive" and "epoch" in fault.entries.values():
             edits, remedy = (), f'{remedy}, with clock.stamps = "header"; or remove lidars.{name}.time_field'
-        evidence = f"{len(misread)} of its first {len(read)} scans"
-        result.append(Finding("warning", name, fault.what, evidence, remedy, 1.0, (edits,) if edits else ()))
+        about = {"what": fault.what, "misread": len(misread), "read": len(read), "remedy": remedy}
+        result.append(found("point_times", name, about, edits))
     return result
 
 
