@@ -9,7 +9,7 @@ from offpiste.mapping import voxel_map
 from offpiste.mapping.ground import find_spans
 from offpiste.mapping.terrain_map import empty_layers
 from offpiste.mapping.voxel_map import FUSION_RULES, VoxelMap, VoxelSettings, voxels_in
-from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings, flatten
+from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings
 from offpiste.native import library
 
 
@@ -119,7 +119,7 @@ def test_reading_changed_columns_only_gives_the_same_bits_as_reading_all(rule):
         held.recentre(centre[:2], 0.0)
         if number % 4 != 3:
             held.insert(*scan(rng, centre, 300, 2, spread=3.5))
-        layers, wanted = kept.layers(layers), flatten(held)
+        layers, wanted = kept.layers(layers), Flattener(held, FlattenSettings()).layers()
         for found in [layers, rare.layers()] if number % 5 == 4 else [layers]:
             for name, value in vars(wanted).items():
                 np.testing.assert_array_equal(getattr(found, name), value, err_msg=f"{name} after {number}")

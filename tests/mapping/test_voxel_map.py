@@ -9,11 +9,15 @@ from offpiste.core.errors import MapError
 from offpiste.mapping.free_space import FreeSpaceSettings
 from offpiste.mapping.ghosts import GhostSettings
 from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
-from offpiste.mapping.voxels_to_layers import FlattenSettings, flatten
+from offpiste.mapping.voxels_to_layers import Flattener, FlattenSettings
 
 SMALL = VoxelSettings(reach=6.0, capacity=20_000)
 """30 cells each way."""
 PLAIN = FlattenSettings(fill_radius=0.0)
+
+
+def flatten(held, settings=None):
+    return Flattener(held, settings or FlattenSettings()).layers()
 
 
 def put(held, points, features=None, distance=10.0, has=True):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from mapping.test_voxel_map import SMALL, put
+from mapping.test_voxel_map import SMALL, flatten, put
 from offpiste.mapping.terrain_sampler import sample_maps, stack_maps
 from offpiste.mapping.voxel_map import VoxelMap, VoxelSettings
-from offpiste.mapping.voxels_to_layers import FlattenSettings, flatten, neighbour_offsets
+from offpiste.mapping.voxels_to_layers import FlattenSettings, neighbour_offsets
 
 N = 30
 

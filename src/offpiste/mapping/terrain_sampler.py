@@ -81,8 +81,10 @@ def stack_maps(maps: Sequence[TerrainMap], *, device: torch.device | str = "cpu"
     slope = np.full((len(maps), ny, nx, 2), np.nan, np.float32)
     features = np.full((len(maps), ny, nx, maps[0].features.shape[2]), np.nan, maps[0].features.dtype)
     for number, terrain in enumerate(maps):
-        rows, columns = terrain.elevation.shape
-        slope[number, :rows, :columns] = terrain.rise if terrain.rise is not None else _rise(terrain)
+        (rows, columns), rise = terrain.elevation.shape, terrain.rise
+        if rise is None:
+            rise = np.stack(np.gradient(terrain.elevation.astype(np.float64), terrain.resolution)[::-1], axis=-1)
+        slope[number, :rows, :columns] = rise
         features[number, :rows, :columns] = terrain.features
     origin = torch.as_tensor(np.stack([m.origin for m in maps]), dtype=torch.float64)
     last = last_cells([m.elevation.shape for m in maps])
@@ -93,11 +95,6 @@ def stack_maps(maps: Sequence[TerrainMap], *, device: torch.device | str = "cpu"
 def last_cells(shapes: Sequence[tuple[int, ...]]) -> Int[Tensor, "S 2"]:
     """Return column and row of the last cell of maps of these shapes."""
     return torch.tensor([[columns - 1, rows - 1] for rows, columns in shapes])
-
-
-def _rise(terrain: TerrainMap) -> Float[np.ndarray, "ny nx 2"]:
-    rise_y, rise_x = np.gradient(terrain.elevation.astype(np.float64), terrain.resolution)
-    return np.stack((rise_x, rise_y), axis=-1)
 
 
 def sample_maps(

@@ -54,11 +54,6 @@ class MapCells(NamedTuple):
     valid: np.ndarray
 
 
-def flatten(voxel_map: VoxelMap, settings: FlattenSettings | None = None) -> TerrainLayers:
-    """Return the layers of a map; `Flattener` does so repeatedly without new memory."""
-    return Flattener(voxel_map, settings or FlattenSettings()).layers()
-
-
 def neighbour_offsets(radius: float) -> Int[np.ndarray, "K 2"]:
     """Return row and column offsets of cells whose centres lie within a radius [cells], nearest first.
 
