@@ -29,22 +29,14 @@ class Derivatives(NamedTuple):
     weights: Float32[np.ndarray, "k 7"]  # of the `PRODUCTS` in each filter
 
 
-class PatchMeans(NamedTuple):
-    """Patch means of the opponent planes, of their squares, and of the magnitudes of filter responses."""
-
-    colours: Float32[np.ndarray, "3 rows columns"]
-    squares: Float32[np.ndarray, "3 rows columns"]
-    responses: Float32[np.ndarray, "k rows columns"]
-
-
 def patch_means(
     pixels: UInt8[np.ndarray, "h w 3"],
     logarithm: Float32[np.ndarray, " 256"],
     fine: Derivatives,
     coarse: Sequence[Derivatives],
     patch: int,
-) -> PatchMeans:
-    """Compute the patch means of an image.
+) -> tuple[Float32[np.ndarray, "_ rows columns"], ...]:
+    """Return patch means of the opponent planes, of their squares, and of the magnitudes of filter responses.
 
     Args:
         pixels: image whose sides are multiples of the patch.
@@ -64,7 +56,7 @@ def patch_means(
     half = cv2.resize(brightness, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     responses = [mean_magnitudes(brightness, fine, patch // 2, step=2)]
     responses += [mean_magnitudes(half, filters, patch // 2) for filters in coarse]
-    return PatchMeans(colours, squares, np.concatenate(responses))
+    return colours, squares, np.concatenate(responses)
 
 
 def mean_magnitudes(
