@@ -11,7 +11,7 @@ from offpiste.native.library import library
 from offpiste.native.threads import spread_kernel
 
 CHUNK: Final = 32
-"""Samples whose sums are computed together (`native/cpp/recorded.h`)."""
+"""Samples whose sums are computed together (`native/cpp/lanes.h`)."""
 
 
 def new_floats(*shape: int) -> Tensor:

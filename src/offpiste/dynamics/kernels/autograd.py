@@ -149,7 +149,7 @@ class Rollout(torch.autograd.Function):
         ]
         learning = Learning()
         for k, matrix in enumerate(matrices):
-            getattr(learning, Learning._fields_[k % 3][0])[k // 3] = address(matrix)
+            learning.matrices[k // 3][k % 3] = address(matrix)
         seeds = None if model.lags_only else states_bar.contiguous(), actuators_bar.contiguous()
         call("backward", chunks, model, record, tape, *seeds, start, codes if codes_wanted else None, learned, learning)
         sums = (None if matrix is None else matrix.sum(dim=0) for matrix in matrices)

@@ -55,9 +55,9 @@ class Record(Structure):
 
 
 class Learning(Structure):
-    """Adjoints of the weights of each network, by chunk."""
+    """Adjoints of the three matrices of each network, by chunk."""
 
-    _fields_ = tuple((name, c_void_p * MOST_NETWORKS) for name in ("gates", "inner", "outer"))
+    _fields_ = (("matrices", c_void_p * 3 * MOST_NETWORKS),)
 
 
 def model_of(dynamics: Dynamics, networks: Sequence[ModelNetwork] | None = None) -> Model:

@@ -1,5 +1,6 @@
 /* Sampled controls moved into bounds and rates (planning/controls.py). NaN stays, and spreads to all later steps. */
 
+namespace {
 struct Bounds {
     const float *previous, *low, *high, *change; /* previous: NaN leaves the first step free */
     int count, steps, columns, free;
@@ -9,8 +10,9 @@ OFFPISTE_INLINE offpiste_real clamped(offpiste_real x, offpiste_real low, offpis
     x = x < low ? low : x;
     return x > high ? high : x;
 }
+}
 
-static void keep_within(int first, int last, const Bounds& s, const float* controls, float* kept) {
+OFFPISTE_ENTRY(keep_within)(int first, int last, const Bounds& s, const float* controls, float* kept) {
     const long length = (long)s.steps * s.columns;
     Vectors before(s.columns), rows(4 * s.columns); /* four steps at once */
     for (int at = first * CHUNK; at < last * CHUNK && at < s.count; at += OFFPISTE_WIDTH) {

@@ -1,6 +1,7 @@
 /* Distance of cells to the nearest point of a path, and that point's values (planning/course.py). Far from the path the
    cells of a block share their nearest point. */
 
+namespace {
 struct Path {
     const double* points; /* [count][2] */
     const float* values;  /* [count][width] */
@@ -24,8 +25,9 @@ OFFPISTE_INLINE int nearest_point(const Path& p, double x, double y, int begin, 
     }
     return best;
 }
+}
 
-static void fill_course(int first, int last, const Path& p, float* result) {
+OFFPISTE_ENTRY(fill_course)(int first, int last, const Path& p, float* result) {
     const double half = (p.block - 1) / 2.0 * p.resolution;
     for (int row = first; row < last; row++)
         for (int column = 0; column < p.columns; column += p.block) {

@@ -1,6 +1,7 @@
 /* Codes of terrain features, a cell for each lane, and back (dynamics/feature_encoder.py). Without hidden layers
    (first = 0) the features are the code, with their flag. */
 
+namespace {
 enum { CELLS = 1024 }; /* of a chunk */
 
 struct Encoder {
@@ -21,7 +22,7 @@ OFFPISTE_INLINE void dense(const float* matrix, int outputs, const offpiste_real
 }
 
 /* Codes of features in the first rows of `a`; returns where they are. valid: -1 in lanes that have features. */
-static offpiste_real* encode(const Encoder& e, offpiste_whole valid, offpiste_real* a) {
+offpiste_real* encode(const Encoder& e, offpiste_whole valid, offpiste_real* a) {
     const offpiste_real one = all_lanes(1.0f), flag = valid ? -one : one;
     if (!e.first) {
         for (int k = 0; k < e.features; k++) a[k] = valid ? a[k] : all_lanes(e.mean[k]);
@@ -53,8 +54,9 @@ OFFPISTE_INLINE offpiste_whole load_cells(const Encoder& e, const Cells& cells, 
     for (int i = 0; i < OFFPISTE_WIDTH; i++) valid[i] = -(cells.valid[b.window[i]] != 0);
     return valid;
 }
+}
 
-static void encode_cells(int first, int last, const Encoder& e, const Cells& cells, float* codes) {
+OFFPISTE_ENTRY(encode)(int first, int last, const Encoder& e, const Cells& cells, float* codes) {
     Vectors a(encoding_size(e));
     for (int at = first * CELLS; at < last * CELLS && at < cells.count; at += OFFPISTE_WIDTH) {
         const Block b = block_at(at, cells.count);
@@ -64,7 +66,7 @@ static void encode_cells(int first, int last, const Encoder& e, const Cells& cel
 }
 
 /* codes_bar: of the result. first_bar, second_bar, last_bar: of the layers, by chunk. */
-static void encode_cells_back(
+OFFPISTE_ENTRY(encode_back)(
     int first, int last, const Encoder& e, const Cells& cells, const float* codes_bar, float* first_bar,
     float* second_bar, float* last_bar) {
     const int of_first = (e.features + 2) * e.first, of_second = (e.first + 1) * e.second;

@@ -1,4 +1,4 @@
-/* Vectors of OFFPISTE_WIDTH floats, one lane for each sample, and moves between lanes and rows of a sample. */
+/* Vectors of OFFPISTE_WIDTH floats, one lane for each sample, and moves between lanes and rows of a batch. */
 typedef float offpiste_real __attribute__((vector_size(4 * OFFPISTE_WIDTH)));
 typedef int offpiste_whole __attribute__((vector_size(4 * OFFPISTE_WIDTH)));
 typedef offpiste_real offpiste_stored __attribute__((aligned(4)));  /* in memory of a caller */
@@ -9,9 +9,12 @@ typedef offpiste_four offpiste_stored_four __attribute__((aligned(4)));
 #define OFFPISTE_INLINE static inline __attribute__((always_inline, unused))
 
 OFFPISTE_INLINE offpiste_real all_lanes(float value) { return value - offpiste_real{}; }
+OFFPISTE_INLINE offpiste_real load(const float* from) { return *(const offpiste_stored*)from; }
+OFFPISTE_INLINE void store(float* to, offpiste_real values) { *(offpiste_stored*)to = values; }
 
 OFFPISTE_INLINE offpiste_real offpiste_maximum(offpiste_real a, offpiste_real b) { return a > b ? a : b; }
 OFFPISTE_INLINE offpiste_real offpiste_maximum(offpiste_real a, float b) { return offpiste_maximum(a, all_lanes(b)); }
+OFFPISTE_INLINE offpiste_real magnitude(offpiste_real x) { return x < 0.0f ? -x : x; }
 
 /* Derivative of the maximum by a; where both are equal 1/2, as autograd has it. */
 OFFPISTE_INLINE offpiste_real offpiste_above(offpiste_real a, offpiste_real b) {
@@ -37,6 +40,19 @@ OFFPISTE_INLINE offpiste_real square_root(offpiste_real x) {
 }
 #endif
 
+/* Whether a condition, -1 or 0, holds in any lane. */
+OFFPISTE_INLINE bool any_lane(offpiste_whole condition) {
+#if OFFPISTE_WIDTH == 16
+    return _mm512_movepi32_mask((__m512i)condition);
+#elif OFFPISTE_WIDTH == 8
+    return _mm256_movemask_ps((__m256)condition);
+#else
+    int found = 0;
+    for (int i = 0; i < OFFPISTE_WIDTH; i++) found |= condition[i];
+    return found;
+#endif
+}
+
 OFFPISTE_INLINE float sum_of_lanes(offpiste_real x) {
     float sum = 0.0f;
     for (int i = 0; i < OFFPISTE_WIDTH; i++) sum += x[i];
@@ -61,7 +77,7 @@ OFFPISTE_INLINE offpiste_real join_fours(const Row& row, int group, int k) {
     const __m256 low = _mm256_castps128_ps256(_mm_loadu_ps(row(group) + k));
     return (offpiste_real)_mm256_insertf128_ps(low, _mm_loadu_ps(row(group + 4) + k), 1);
 #else
-    return *(const offpiste_stored*)(row(group) + k);
+    return load(row(group) + k);
 #endif
 }
 
@@ -130,3 +146,33 @@ struct Vectors {
     ~Vectors() { free(at); }
     operator offpiste_real*() const { return at; }
 };
+
+enum { CHUNK = 32 }; /* samples that one thread takes at a time */
+
+/* Samples of a batch in the lanes of a vector. */
+struct Block {
+    int first, inside;
+    long window[OFFPISTE_WIDTH]; /* lanes behind the batch repeat its last sample */
+    offpiste_real weight;        /* 1, behind the batch 0 */
+};
+
+OFFPISTE_INLINE Block block_at(int first, int batch) {
+    Block b;
+    b.first = first;
+    b.inside = batch - first < OFFPISTE_WIDTH ? batch - first : OFFPISTE_WIDTH;
+    for (int i = 0; i < OFFPISTE_WIDTH; i++) {
+        b.window[i] = first + i < batch ? first + i : batch - 1;
+        b.weight[i] = first + i < batch ? 1.0f : 0.0f;
+    }
+    return b;
+}
+
+OFFPISTE_INLINE void load_rows(const float* rows, const Block& b, long apart, long at, int count, offpiste_real* out) {
+    to_lanes([&](int i) { return rows + b.window[i] * apart + at; }, count, out);
+}
+
+OFFPISTE_INLINE void store_rows(const offpiste_real* in, const Block& b, long apart, long at, int count, float* rows) {
+    float* to[OFFPISTE_WIDTH];
+    for (int i = 0; i < OFFPISTE_WIDTH; i++) to[i] = rows + b.window[i] * apart + at;
+    from_lanes(in, count, b.inside, to);
+}

@@ -1,5 +1,6 @@
 /* Rollouts over maps of float16 cells, read under predicted wheels: evaluation and validation. */
 
+namespace {
 struct Maps {
     int batch, steps;
     const float *start, *controls; /* as in Record */
@@ -64,8 +65,9 @@ OFFPISTE_INLINE void read_maps(
     }
     store_ground(ground, w);
 }
+}
 
-static void roll_on_maps(
+OFFPISTE_ENTRY(forward_on_maps)(
     int first, int last, const Model& m, const Maps& maps, const Encoder& e, float* states, float* actuators) {
     Vectors w(workspace_size(m)), state(state_size(m)), held(activations_total(m)), encoding(encoding_size(e) + 4);
     Activations a[MOST_NETWORKS];

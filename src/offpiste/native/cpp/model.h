@@ -35,7 +35,7 @@ struct Bars {
     offpiste_real *gates, *layer, *outer, *inputs;
 };
 
-enum { GATES = 4 * OFFPISTE_HIDDEN, CELL = 7 };
+enum { MOST_NETWORKS = 3, GATES = 4 * OFFPISTE_HIDDEN, CELL = 7 };
 
 OFFPISTE_INLINE int activation_size(const Network& n) {
     return (2 + CELL) * OFFPISTE_HIDDEN + 2 * n.inputs + n.width + n.outputs;
@@ -130,6 +130,33 @@ static __attribute__((unused)) void correct_adjoint(
 /* What stands for controls that the log lacks; nothing overwrites it. */
 OFFPISTE_INLINE void begin_workspace(const Model& m, offpiste_real* w) {
     for (int k = 0; k < OFFPISTE_KNOWN_CONTROLS; k++) w[OFFPISTE_FIRST_CONTROL + k] = all_lanes(m.absent_controls[k]);
+}
+
+OFFPISTE_INLINE long activations_total(const Model& m) {
+    long size = 0;
+    for (int k = 0; k < m.network_count; k++) size += activation_size(m.networks[k]);
+    return size;
+}
+
+OFFPISTE_INLINE void place_activations(const Model& m, offpiste_real* at, Activations* a) {
+    for (int k = 0; k < m.network_count; k++) {
+        a[k] = activations_at(m.networks[k], at);
+        at += activation_size(m.networks[k]);
+    }
+}
+
+OFFPISTE_INLINE void load_controls(
+    const Model& m, const float* controls, const Block& b, int steps, int t, offpiste_real* w) {
+    offpiste_real columns[OFFPISTE_KNOWN_CONTROLS];
+    load_rows(controls, b, (long)steps * m.columns, (long)t * m.columns, m.columns, columns);
+    for (int k = 0; k < m.columns; k++)
+        if (m.control_rows[k] >= 0) w[m.control_rows[k]] = columns[k];
+}
+
+OFFPISTE_INLINE void load_start(const Model& m, const float* start, const Block& b, offpiste_real* state) {
+    load_rows(start, b, state_size(m), 0, state_size(m), state);
+    for (int k = 0; k < OFFPISTE_MOVED; k++)
+        if (is_absent(m, k)) state[k] = offpiste_real{};
 }
 
 /* One step: state (STEPPED, hidden units, cells) before, and then after. Controls, normals, unknown ones and codes are

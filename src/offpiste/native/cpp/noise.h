@@ -2,6 +2,7 @@
 
    Real and imaginary parts of a transform are independent series: of a sample, and of the one half a chunk further on,
    so that numbers do not depend on the width of vectors. */
+namespace {
 typedef unsigned offpiste_bits __attribute__((vector_size(4 * OFFPISTE_WIDTH)));
 
 struct Colour {
@@ -73,7 +74,7 @@ OFFPISTE_INLINE Complex normal(offpiste_bits one, offpiste_bits other) {
 }
 
 /* Coefficients [period], zero above the highest frequency; those of frequency -k are at period - k. */
-static void draw_coefficients(const Colour& c, offpiste_bits series, Complex* z) {
+void draw_coefficients(const Colour& c, offpiste_bits series, Complex* z) {
     memset((void*)z, 0, c.period * sizeof *z);
     for (int k = 0; k < c.frequencies; k++) {
         offpiste_bits drawn[4];
@@ -108,7 +109,7 @@ OFFPISTE_INLINE void sum_points(
 }
 
 /* Transforms z to sum_k z[k] exp(2 pi i k t / period); returns the one of the two arrays with the result. */
-static Complex* transform(int period, const float* roots, Complex* z, Complex* other, Complex* scratch) {
+Complex* transform(int period, const float* roots, Complex* z, Complex* other, Complex* scratch) {
     int length = period, apart = 1, radix = 2;
     while (length > 1) {
         while (length % radix) radix++;
@@ -126,9 +127,10 @@ static Complex* transform(int period, const float* roots, Complex* z, Complex* o
     }
     return z;
 }
+}
 
 /* noise: [samples][steps][controls]. */
-static void draw_noise(int first, int last, const Colour& c, float* noise) {
+OFFPISTE_ENTRY(draw_noise)(int first, int last, const Colour& c, float* noise) {
     const int row = c.steps * c.controls;
     Vectors room(6 * (size_t)c.period), real(row), imaginary(row);
     Complex *z = (Complex*)(offpiste_real*)room, *other = z + c.period, *scratch = other + c.period;

@@ -1,6 +1,7 @@
 /* Rollouts of sampled controls on a map, with their costs. Terrain under the wheels after a step is read once: the
    step's cost reads it, and so does the next step. */
 
+namespace {
 /* Spread of the predictions: how far errors of position reach (uncertainty/spread.py), its standardisation folded into
    the first layer. hidden: a multiple of four; 0 where plans cost what is predicted. */
 struct Stray {
@@ -109,8 +110,6 @@ struct Reach {
     offpiste_real variance[2], velocity[2]; /* of the velocity, along and across */
 };
 
-OFFPISTE_INLINE offpiste_real magnitude(offpiste_real x) { return x < 0.0f ? -x : x; }
-
 /* What the spread's network reads: `spread.MOTION` before a step, controls, mean code of the wheels. */
 OFFPISTE_INLINE void see_stray(
     const Model& m, const offpiste_real* state, const offpiste_real* w, const offpiste_values& v, offpiste_real* seen) {
@@ -150,8 +149,9 @@ OFFPISTE_INLINE void grow_reach(
         reach.velocity[k] = s.reach * square_root(reach.variance[k]);
     }
 }
+}
 
-static void roll_plan(int first, int last, const Model& m, const Situation& s, const Samples& samples) {
+OFFPISTE_ENTRY(plan)(int first, int last, const Model& m, const Situation& s, const Samples& samples) {
     const Span spans[2] = {span_of(s, false), span_of(s, true)};
     const int size = state_size(m);
     Vectors w(workspace_size(m)), state(size), held(activations_total(m)), seen(s.stray.inputs), layer(s.stray.hidden);

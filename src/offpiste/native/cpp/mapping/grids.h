@@ -15,16 +15,6 @@ struct Grids {
         return first + ((grid * (cells + 2 * border) + border + j) * stride() + border);
     }
 };
-
-OFFPISTE_INLINE offpiste_real load(const float* from) { return *(const offpiste_stored*)from; }
-OFFPISTE_INLINE void store(float* to, offpiste_real values) { *(offpiste_stored*)to = values; }
-
-OFFPISTE_INLINE bool any_lane(offpiste_whole mask) {
-    int64_t parts[sizeof(mask) / 8], any = 0;
-    memcpy(parts, &mask, sizeof(mask));
-    for (const int64_t part : parts) any |= part;
-    return any != 0;
-}
 }
 
 /* Copies spans of columns in the order of the grids, and finds the lowest ground within `radius` cells along rows. */

@@ -12,10 +12,10 @@ inline void filter_across(
     for (int64_t i = 0; i < number; i += OFFPISTE_WIDTH) {
         offpiste_real sums[FILTER_LINES] = {};
         for (int64_t t = 0; t < size; t++) {
-            const offpiste_real x = *(const offpiste_stored*)(from[t] + i);
+            const offpiste_real x = load(from[t] + i);
             for (int k = 0; k < FILTER_LINES; k++) sums[k] += x * lines[k * size + t];
         }
-        for (int k = 0; k < FILTER_LINES; k++) *(offpiste_stored*)(across + k * number + i) = sums[k];
+        for (int k = 0; k < FILTER_LINES; k++) store(across + k * number + i, sums[k]);
     }
 }
 
@@ -28,7 +28,7 @@ inline void add_magnitudes(
         offpiste_real products[FILTER_PRODUCTS] = {};
         for (int64_t t = 0; t < size; t++) {
             offpiste_real x[FILTER_LINES];
-            for (int k = 0; k < FILTER_LINES; k++) x[k] = *(const offpiste_stored*)(rows[t] + k * number + i);
+            for (int k = 0; k < FILTER_LINES; k++) x[k] = load(rows[t] + k * number + i);
             for (int p = 0; p < FILTER_PRODUCTS; p++) products[p] += x[ACROSS[p]] * lines[DOWN[p] * size + t];
         }
         for (int64_t k = 0; k < filters; k++) {

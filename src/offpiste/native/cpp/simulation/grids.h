@@ -29,24 +29,23 @@ struct Ground {
 
     /* Elevation at (x, y), bilinear [m]. */
     double height(double x, double y) const {
-        const Between i = between(x - x0, resolution, columns), j = between(y - y0, resolution, rows);
-        const double *near = elevation + j.index * columns + i.index, *far = near + columns;
-        const double first = near[0] * (1.0 - i.fraction) + near[1] * i.fraction;
-        const double second = far[0] * (1.0 - i.fraction) + far[1] * i.fraction;
-        return first * (1.0 - j.fraction) + second * j.fraction;
+        return mixed(elevation, 1, 0, between(x - x0, resolution, columns), between(y - y0, resolution, rows));
     }
 
     /* Properties at (x, y), bilinear. */
     Properties properties_at(double x, double y) const {
         const Between i = between(x - x0, resolution, columns), j = between(y - y0, resolution, rows);
-        const double *near = properties + 4 * (j.index * columns + i.index), *far = near + 4 * columns;
         double found[4];
-        for (int p = 0; p < 4; p++) {
-            const double first = near[p] * (1.0 - i.fraction) + near[p + 4] * i.fraction;
-            const double second = far[p] * (1.0 - i.fraction) + far[p + 4] * i.fraction;
-            found[p] = first * (1.0 - j.fraction) + second * j.fraction;
-        }
+        for (int p = 0; p < 4; p++) found[p] = mixed(properties, 4, p, i, j);
         return {found[0], found[1], found[2], found[3]};
+    }
+
+    /* Number k of the `width` numbers of each node, between four nodes. */
+    double mixed(const double* numbers, int64_t width, int k, Between i, Between j) const {
+        const double *near = numbers + width * (j.index * columns + i.index) + k, *far = near + width * columns;
+        const double first = near[0] * (1.0 - i.fraction) + near[width] * i.fraction;
+        const double second = far[0] * (1.0 - i.fraction) + far[width] * i.fraction;
+        return first * (1.0 - j.fraction) + second * j.fraction;
     }
 };
 

@@ -76,19 +76,6 @@ inline Real limited(Real x, float low, float high) {
     return x < high ? x : all_lanes(high);
 }
 
-/* Whether a condition, -1 or 0, holds in any lane. */
-inline bool any(Whole condition) {
-#if OFFPISTE_WIDTH == 16
-    return _mm512_movepi32_mask((__m512i)condition);
-#elif OFFPISTE_WIDTH == 8
-    return _mm256_movemask_ps((__m256)condition);
-#else
-    int found = 0;
-    for (int i = 0; i < OFFPISTE_WIDTH; i++) found |= condition[i];
-    return found;
-#endif
-}
-
 inline Real real(Whole x) { return __builtin_convertvector(x, Real); }
 
 /* Bytes as numbers, one in each lane. */
@@ -246,7 +233,7 @@ inline Real sunlit(const Scene& s, const Seen& seen) {
     const Real bx = (float)(origin[0] - position[0]) + seen.x, by = (float)(origin[1] - position[1]) + seen.y;
     const Real bz = (float)(origin[2] - position[2]) + seen.z;
     Whole shadow = {}, near = bx * bx + by * by < SHADOW_REACH * SHADOW_REACH;
-    if (!any(near)) return all_lanes(1.0f);
+    if (!any_lane(near)) return all_lanes(1.0f);
     Real from[3];
     float inverse[3];
     for (int axis = 0; axis < 3; axis++) {
@@ -254,7 +241,7 @@ inline Real sunlit(const Scene& s, const Seen& seen) {
         inverse[axis] = (float)(1 / s.vehicle.sun[axis]);
     }
     near &= meets(s.boxes.shadow[0], from, inverse);
-    if (any(near))
+    if (any_lane(near))
         for (int64_t box = 1; box < s.boxes.shadows; box++) shadow |= meets(s.boxes.shadow[box], from, inverse);
     return near & shadow ? Real{} : all_lanes(1.0f);
 }
@@ -292,7 +279,7 @@ inline Octaves octaves_at(const Scene& s, const Seen& seen, Real finest) {
         const float cos = g.turn[octave][0], sin = g.turn[octave][1], wavelength = 1 / std::sqrt(cos * cos + sin * sin);
         const Real fade = limited(finest * wavelength - 1.0f, 0.0f, 1.0f);
         found.value[octave] = found.slope[octave] = Real{};
-        if (!any(fade > 0.0f)) continue;
+        if (!any_lane(fade > 0.0f)) continue;
         /* Lattices are turned and shifted so that they share neither axes nor origin. */
         const double along = cos * s.origin[0] + sin * s.origin[1] + octave * 17;
         const double across = cos * s.origin[1] - sin * s.origin[0] + octave * 29;
@@ -345,7 +332,7 @@ inline void add_details(
     const Scene& s, const Seen& seen, Real facing, Real footprint, const Real* value, const Real* channel, Look& look) {
     const double x = s.origin[0], y = s.origin[1];
     const Real stones = drawn(channel[STONES], STONE_SIZE / 2, footprint);
-    if (any(stones > 0.0f)) {
+    if (any_lane(stones > 0.0f)) {
         const Cell along = cells_from(x / STONE_SIZE - 0.5, seen.x / STONE_SIZE + 0.25f * value[2]);
         const Cell across = cells_from(y / STONE_SIZE - 0.5, seen.y / STONE_SIZE + 0.25f * value[1]);
         look.tone += stones * pebbles(s.ground.lattice, along, across);
@@ -353,9 +340,9 @@ inline void add_details(
     /* blades hide more soil at flatter view angles */
     look.bare = channel[BLADES] > 0.02f ? exponential(-3.0f * channel[BLADES] / facing) : Real{};
     const Real blades = drawn(channel[BLADES], 2 * BLADE_WIDTH, footprint);
-    if (any(blades > 0.0f)) look.tone += blades * blades_at(s, seen, 3.0f * value[8] + 1.5f * value[6]);
+    if (any_lane(blades > 0.0f)) look.tone += blades * blades_at(s, seen, 3.0f * value[8] + 1.5f * value[6]);
     const Real ripples = drawn(channel[RIPPLES], RIPPLE_LENGTH / 2, footprint);
-    if (any(ripples > 0.0f)) {
+    if (any_lane(ripples > 0.0f)) {
         const Real wander = 4.0f * value[9] + 2.5f * value[8] + 1.2f * value[7] + 0.5f * value[6];
         const Real distance = (0.8f * seen.x + 0.6f * seen.y) / RIPPLE_LENGTH + wander;
         const Real turns = cells_from((0.8 * x + 0.6 * y) / RIPPLE_LENGTH, distance).offset;
@@ -419,9 +406,9 @@ inline void shade_plants(const Scene& s, int kind, const Hits& hits, const Seen&
         up = (float)s.origin[2] + seen.z - up;
         up = limited(0.35f + 1.3f * up, 0.35f, 1.0f);
     }
-    const Real side = facing < 0.0f ? -facing : facing, normal = look_up(hits.normal + 2, 3 * seen.index);
+    const Real side = magnitude(facing), normal = look_up(hits.normal + 2, 3 * seen.index);
     const Real sun = channel[OPEN] * sunlit(s, seen) * (0.25f + 0.75f * side) * up * (1.0f + 0.3f * seen.phase);
-    const Real sky = up * (0.6f + 0.4f * (normal < 0.0f ? -normal : normal));
+    const Real sky = up * (0.6f + 0.4f * magnitude(normal));
     for (int k = 0; k < 3; k++) {
         const Real root = channel[LOW + k] + own * (channel[HIGH + k] - channel[LOW + k]);
         const Real colour = g.plants[kind - TRUNK][k] * (0.7f + 0.6f * own) * (kind == GRASS ? root * root : all_lanes(1.0f));
