@@ -18,8 +18,7 @@ from offpiste.planning.header.cost_text import plan_text
 from offpiste.planning.kernel import encode_map, fused_costs
 from offpiste.planning.mppi import Settings, improve
 from offpiste.planning.noise import coloured
-from planning.test_kernel import STEPS, ground, model, start
-from planning.test_kernel_stray import caution
+from planning.test_kernel import STEPS, caution, ground, model, start
 from planning_maps import layers, situation
 
 SETTINGS = Settings(

@@ -1,4 +1,4 @@
-"""The fused kernel against the eager model and cost, in every branch of the map and of the cost."""
+"""Plans by the compiled library, and by C printed for GPUs and compiled here, against the eager model and cost."""
 
 from dataclasses import replace
 
@@ -6,19 +6,24 @@ import numpy as np
 import pytest
 import torch
 
-from factories import COMMANDED, VEHICLE, coded, unsettled
+from factories import COMMANDED, VEHICLE, coded, torch_threads, unsettled
+from host_kernels import HostKernels, needs_gcc
 from offpiste.core.conventions import ACTUATORS
-from offpiste.core.state import ModelState
+from offpiste.core.state import ModelState, Trajectory
 from offpiste.dynamics import Hybrid, Parametric, rollout
 from offpiste.dynamics.feature_encoder import Compressor, Identity
-from offpiste.mapping.terrain_sampler import MapTerrain, as_codes
+from offpiste.mapping.terrain_sampler import as_codes
+from offpiste.planning.caution import Caution
 from offpiste.planning.controls import CONTROL_LIMITS, complete
 from offpiste.planning.costs.layers import Hazards
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import driving_costs, driving_terms, situation_terrain, spread_model_state
+from offpiste.planning.header.cost_text import plan_text
+from offpiste.planning.header.costs import costs_by_kernels, packed_stray
 from offpiste.planning.kernel import coded_map, encode_map, fused_costs, fused_rollout, kernel_model_state
 from offpiste.planning.mppi import Settings, improve
 from offpiste.planning.noise import coloured
+from offpiste.uncertainty.spread import Spread, inputs_of
 from planning_maps import layers, situation
 
 STEPS = 60
@@ -26,8 +31,8 @@ KINDS = [("parametric", COMMANDED), ("b", VEHICLE), ("dc", VEHICLE), ("df", COMM
 """Models of vehicles with and without measured actuators."""
 
 GEARED = replace(VEHICLE, control=(*VEHICLE.control, "gear"))
-
-
+PATH_ALONE = CostWeights(path=1.0, speed=0.0, overspeed=0.0, rollover=0.0, effort=(0.0, 0.0, 0.0), jerk=(0.0, 0.0, 0.0))
+NO_HAZARDS = Hazards(obstacle=0.0, steep=0.0, unknown=0.0)
 UNKNOWN = layers(
     known=np.zeros((81, 81), bool), features=np.full((81, 81, 2), np.nan, np.float32),
     normal=np.full((81, 81, 3), np.nan, np.float32),
@@ -84,84 +89,168 @@ def commands(samples, seed=0):
     return (noise * torch.tensor([0.4, 0.2, 0.6]) + torch.tensor([0.4, 0.0, 0.0])).clamp(-1, 1)
 
 
-def both(dynamics, at, controls, weights):
-    """Costs, states: eager, fused; and the eager terms."""
-    encoder = getattr(dynamics, "encoder", None)
-    model_state = start(dynamics, at)
-    source = situation_terrain(at, len(controls), encoder)
-    completed = complete(dynamics.vehicle, controls, at.gear)
-    trajectory = rollout(dynamics, spread_model_state(model_state, len(controls)), completed, source)
-    eager = driving_costs(dynamics, model_state, at, weights, encoder)(controls), trajectory.state
-    fused = fused_rollout(dynamics, model_state, controls, at, weights, encode_map(at.ground, encoder))
-    return eager, fused, driving_terms(trajectory, controls, at, weights)
+def caution(dynamics, reach=1.7):
+    """A spread with random weights, which reads all that it can."""
+    torch.manual_seed(0)
+    spread = Spread(inputs_of(dynamics.vehicle, dynamics.codes))
+    for layer in (spread.layers[0], spread.layers[2]):
+        torch.nn.init.normal_(layer.weight, std=0.4)
+        torch.nn.init.normal_(layer.bias, std=0.5)
+    spread.start.data.copy_(torch.tensor([-1.0, 0.5]))
+    spread.mean.normal_()
+    spread.deviation.uniform_(0.5, 3)
+    spread.factor.fill_(0.8)
+    return Caution(spread.requires_grad_(False), reach)
 
 
+PATHS = {"library": 70, "printed": 70, "lanes": 10}
+"""Numbers of samples to compare: of the compiled library, and of printed C by one thread a sample or by four."""
+
+paths = pytest.mark.parametrize(
+    "path", ["library", *(pytest.param(name, marks=needs_gcc) for name in ("printed", "lanes"))]
+)
+
+
+def fused(dynamics, at):
+    """Costs of control sequences by the library."""
+    return fused_costs(dynamics, start(dynamics, at), at, CostWeights(), encode_map(at.ground, dynamics.encoder))
+
+
+def planned(path, dynamics, at, controls, weights=None):
+    """Costs and states of control sequences by one of `PATHS`, or "eager"."""
+    encoder, model_state, weights = dynamics.encoder, start(dynamics, at), weights or CostWeights(lateral_limit=2.0)
+    if path == "eager":
+        source = situation_terrain(at, len(controls), encoder)
+        completed = complete(dynamics.vehicle, controls, at.gear)
+        trajectory = rollout(dynamics, spread_model_state(model_state, len(controls)), completed, source)
+        return driving_costs(dynamics, model_state, at, weights, encoder)(controls), trajectory.state
+    codes = encode_map(at.ground, encoder)
+    if path == "library":
+        return fused_rollout(dynamics, model_state, controls, at, weights, codes)
+    kernels = HostKernels(plan_text(dynamics, at.costs.table, at.caution, lanes=path == "lanes"))
+    states = torch.empty(controls.shape[1], 6, len(controls))
+    costs = costs_by_kernels(kernels, dynamics, model_state, at, weights, codes)(controls, states)
+    return costs, states.permute(2, 0, 1)
+
+
+def assert_all_agree(path, dynamics, at, controls):
+    """Compare every sample with the eager model and cost; return the states."""
+    found, wanted = (planned(way, dynamics, at, controls) for way in (path, "eager"))
+    torch.testing.assert_close(found[1], wanted[1], atol=1e-3, rtol=1e-4)
+    torch.testing.assert_close(found[0], wanted[0], atol=1e-2, rtol=1e-2)
+    return found[1]
+
+
+def agreeing(states, wanted, share=0.9):
+    """Return which samples have the same states: at edges of cells rounding decides, and trajectories part."""
+    close = (states - wanted).abs().amax(dim=(1, 2)) < 2e-3
+    assert close.float().mean() >= share
+    return close
+
+
+@paths
 @pytest.mark.parametrize(("kind", "vehicle"), [*KINDS, ("dc", COMMANDED), ("dc of five numbers", VEHICLE)])
-def test_costs_and_states_equal_the_eager_ones(kind, vehicle):
+def test_costs_and_states_equal_the_eager_ones(kind, vehicle, path):
     at = situation(ground(), hazards=Hazards(obstacle=50.0), state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
-    weights = CostWeights(lateral_limit=0.25, rollover=20.0)
-    eager, fused, terms = both(model(kind, vehicle), at, commands(70), weights)
-    for name, term in terms.items():
-        assert (term > 0).any(), name
-    close = (fused[1] - eager[1]).abs().amax(dim=(1, 2)) < 2e-3
-    assert close.float().mean() > 0.9  # at edges of cells rounding decides, and trajectories part
-    torch.testing.assert_close(fused[1][close], eager[1][close], atol=2e-3, rtol=1e-4)
-    difference = (fused[0] - eager[0]).abs()[close]
-    assert (difference < 0.01 * eager[0].abs()[close] + 0.05).float().mean() > 0.9
-    assert difference.median() < 1e-3 * eager[0].median()
+    given = model(kind, vehicle), at, commands(PATHS[path]), CostWeights(lateral_limit=0.25, rollover=20.0)
+    (found, states), (wanted, eager_states) = planned(path, *given), planned("eager", *given)
+    close = agreeing(states, eager_states)
+    difference = (found - wanted).abs()[close]
+    assert (difference < 0.01 * wanted.abs()[close] + 0.05).float().mean() > 0.9
+    assert difference.median() < 1e-3 * wanted.median()
+    trajectory = Trajectory(eager_states, torch.zeros(*eager_states.shape[:2], 4))
+    assert all((term > 0).any() for term in driving_terms(trajectory, given[2], at, given[3]).values())
 
 
+@paths
 @pytest.mark.parametrize("place", [0.0, 300.0], ids=["on the map", "off it"])
-def test_on_even_ground_every_sample_agrees(place):
+def test_on_even_ground_every_sample_agrees(place, path):
     at = situation(layers(plane=(0.1, -0.2)), state=(place, 0, 1, 5, 0, 0))
-    controls = commands(33, seed=2)
-    eager, fused, _ = both(model("dc"), at, controls, CostWeights(lateral_limit=2.0))
-    torch.testing.assert_close(fused[1], eager[1], atol=1e-3, rtol=1e-4)
-    torch.testing.assert_close(fused[0], eager[0], atol=1e-2, rtol=1e-2)
+    assert_all_agree(path, model("dc"), at, commands(PATHS[path] // 2, seed=2))
 
 
+@paths
 @pytest.mark.parametrize(("kind", "gear"), [("parametric", 0.0), ("b", 1.0), ("b", -1.0)])
-def test_a_held_gear_completes_the_controls_of_models_that_know_one(kind, gear):
+def test_a_held_gear_completes_the_controls_of_models_that_know_one(kind, gear, path):
     at = replace(situation(layers(plane=(0.1, -0.2)), state=(0.0, 0, 0, 3 * gear, 0, 0)), gear=gear)
-    dynamics, controls = model(kind, GEARED), commands(40, seed=2)[:, :40]
-    eager, fused, _ = both(dynamics, at, controls, CostWeights(lateral_limit=2.0))
-    torch.testing.assert_close(fused[1], eager[1], atol=1e-3, rtol=1e-4)
-    torch.testing.assert_close(fused[0], eager[0], atol=1e-2, rtol=1e-2)
-    geared = torch.cat((controls, torch.full_like(controls[..., :1], gear)), dim=-1)
-    forward = replace(at, gear=1.0)
-    codes = encode_map(at.ground, None)
-    again = fused_rollout(dynamics, start(dynamics, at), geared, forward, CostWeights(lateral_limit=2.0), codes)
-    assert torch.equal(again[0], fused[0])
-    other = fused_rollout(dynamics, start(dynamics, at), controls, replace(at, gear=gear - 1), CostWeights(), codes)
-    assert other[1][:, -1, 3].mean() < fused[1][:, -1, 3].mean() - 0.1
+    dynamics, controls = model(kind, GEARED), commands(PATHS[path] // 2, seed=2)[:, :40]
+    states = assert_all_agree(path, dynamics, at, controls)
+    other = planned(path, dynamics, replace(at, gear=gear - 1), controls)[1]
+    assert other[:, -1, 3].mean() < states[:, -1, 3].mean() - 0.1
+
+
+def test_a_gear_may_be_given_with_the_controls():
+    at, dynamics, controls = situation(state=(0.0, 0, 0, -3, 0, 0)), model("b", GEARED), commands(40)
+    geared = torch.cat((controls, torch.full_like(controls[..., :1], -1.0)), dim=-1)
+    assert torch.equal(fused(dynamics, at)(geared), fused(dynamics, replace(at, gear=-1.0))(controls))
 
 
 def test_a_model_without_a_gear_does_not_mind_one():
     at, dynamics, controls = situation(), model("b"), commands(8)
-    codes = encode_map(at.ground, None)
-    one, other = (
-        fused_rollout(dynamics, start(dynamics, at), controls, replace(at, gear=gear), CostWeights(), codes)[1]
-        for gear in (1.0, -1.0)
-    )
+    one, other = (planned("library", dynamics, replace(at, gear=gear), controls)[1] for gear in (1.0, -1.0))
     assert torch.equal(one, other)
 
 
 def test_backwards_most_samples_agree():
     # Random weights make reverse unstable: there the eager float32 is as far from float64 as the kernel is.
-    at, controls = situation(layers(), state=(0.0, 0, 2, -1, 0, 0)), commands(33, seed=2)[:, :30]
-    eager, fused, _ = both(model("dc"), at, controls, CostWeights(lateral_limit=2.0))
-    difference = (fused[1] - eager[1]).abs().amax(dim=(1, 2))
-    assert difference.median() < 1e-4
-    assert (difference < 1e-3).float().mean() > 0.9
+    given = model("dc"), situation(layers(), state=(0.0, 0, 2, -1, 0, 0)), commands(33, seed=2)[:, :30]
+    states, wanted = planned("library", *given)[1], planned("eager", *given)[1]
+    assert (states - wanted).abs().amax(dim=(1, 2)).median() < 1e-4
+    agreeing(states, wanted)
+
+
+def added_by_caution(path, dynamics, at, controls):
+    """Cost of the path that caution adds, and the states."""
+    careful, states = planned(path, dynamics, replace(at, caution=caution(dynamics)), controls, PATH_ALONE)
+    return careful - planned(path, dynamics, at, controls, PATH_ALONE)[0], states
+
+
+@paths
+@pytest.mark.parametrize(
+    ("kind", "vehicle", "steps"), [(*KINDS[0], 60), (*KINDS[1], 45), (*KINDS[2], 60), (*KINDS[2], 3), (*KINDS[3], 45)]
+)
+def test_what_caution_adds_equals_what_the_reference_adds(kind, vehicle, steps, path):
+    at = situation(ground(), hazards=NO_HAZARDS, state=(-3.0, 1, 0.3, 8, 0.2, 0.1))
+    given = model(kind, vehicle), at, commands(PATHS[path])[:, :steps]
+    (found, states), (wanted, eager_states) = added_by_caution(path, *given), added_by_caution("eager", *given)
+    close = agreeing(states, eager_states)
+    assert (wanted > 0).all()
+    apart = ((found - wanted).abs() / wanted)[close]
+    assert apart.median() < 1e-3
+    assert (apart < 0.02).float().mean() > 0.95
+
+
+@paths
+@pytest.mark.parametrize("gear", [1.0, -1.0])
+@pytest.mark.parametrize("place", [0.0, 300.0], ids=["on the map", "off it"])
+def test_what_caution_adds_on_even_ground_and_in_each_gear(place, gear, path):
+    at = replace(situation(layers(plane=(0.1, -0.2)), hazards=NO_HAZARDS, state=(place, 0, 1, 3, 0, 0)), gear=gear)
+    given = model("b", GEARED), at, commands(PATHS[path] // 2, seed=2)[:, :40]
+    (found, states), (wanted, eager_states) = added_by_caution(path, *given), added_by_caution("eager", *given)
+    agreeing(states, eager_states, share=1.0)
+    torch.testing.assert_close(found, wanted, atol=1e-3, rtol=2e-3)
+
+
+def test_no_reach_costs_nothing():
+    at, dynamics = situation(ground(), state=(-3.0, 1, 0.3, 8, 0.2, 0.1)), model("dc")
+    plain, none = (fused(dynamics, here)(commands(40)) for here in (at, replace(at, caution=caution(dynamics, 0.0))))
+    assert torch.equal(plain, none)
+
+
+def test_a_spread_of_a_model_with_other_inputs_is_refused():
+    dynamics, at = model("b"), replace(situation(ground()), caution=caution(model("dc")))
+    for read in (lambda: fused(dynamics, at), lambda: packed_stray(dynamics, at.caution)):
+        with pytest.raises(ValueError, match=r"the spread has \d+ inputs; this model's has 9"):
+            read()
 
 
 @pytest.mark.parametrize(("kind", "vehicle"), KINDS)
 def test_the_model_state_after_controls_equals_that_of_eager_steps(kind, vehicle):
     at, dynamics = situation(ground(), state=(-3.0, 1, 0.3, 8, 0.2, 0.1)), model(kind, vehicle)
     controls = commands(1)[0]
-    encoder, model_state = getattr(dynamics, "encoder", None), start(dynamics, at)
+    encoder, model_state = dynamics.encoder, start(dynamics, at)
     found = kernel_model_state(dynamics, model_state, controls[:8], at, encode_map(at.ground, encoder))
-    source = MapTerrain(at.ground, torch.zeros(1, dtype=torch.long), at.offset[None], at.wheels, encoder)
+    source = situation_terrain(at, 1, encoder)
     for t, control in enumerate(controls[:8]):
         model_state = dynamics.step(model_state, control[None], source.at(t, model_state.state))
     for part in ("state", "actuators", "recurrent"):
@@ -195,18 +284,15 @@ def test_cells_are_encoded_as_one_by_one():
         torch.testing.assert_close(codes[row, column], encoder(cell, cell.isfinite().all(-1))[0])
 
 
+@paths
 @pytest.mark.parametrize("ground", [layers(1, 20.0, plane=(0.1, 0.05)), layers(2, 20.0), UNKNOWN])
-def test_maps_of_hardly_any_cells_or_without_known_ones(ground):
-    eager, fused, _ = both(model("dc"), situation(ground), commands(5), CostWeights(lateral_limit=2.0))
-    torch.testing.assert_close(fused[1], eager[1], atol=1e-3, rtol=1e-4)
-    torch.testing.assert_close(fused[0], eager[0], atol=1e-2, rtol=1e-2)
+def test_maps_of_hardly_any_cells_or_without_known_ones(ground, path):
+    assert_all_agree(path, model("dc"), situation(ground), commands(5))
 
 
 @pytest.mark.parametrize("samples", [1, 32, 65])
 def test_any_number_of_samples_costs_what_each_costs_alone(samples):
-    at, dynamics = situation(ground()), model("dc")
-    cost_of = fused_costs(dynamics, start(dynamics, at), at, CostWeights(), encode_map(at.ground, dynamics.encoder))
-    controls = commands(samples)
+    cost_of, controls = fused(model("dc"), situation(ground())), commands(samples)
     together = cost_of(controls)
     assert together.shape == (samples,)
     for k in {0, samples // 2, samples - 1}:
@@ -215,35 +301,30 @@ def test_any_number_of_samples_costs_what_each_costs_alone(samples):
 
 @pytest.mark.parametrize(("steps", "geared"), [(1, False), (2, True), (3, False)])
 def test_the_first_steps_are_the_same_in_a_shorter_plan(steps, geared):
-    at, dynamics = situation(ground()), model("b", GEARED if geared else COMMANDED)
-    controls = commands(33)
+    given, controls = (model("b", GEARED if geared else COMMANDED), situation(ground())), commands(33)
     controls = torch.cat((controls, torch.ones(33, STEPS, 1)), dim=2) if geared else controls
-    given = start(dynamics, at), at, CostWeights(), encode_map(at.ground, None)
-    whole, part = (
-        fused_rollout(dynamics, given[0], c.contiguous(), *given[1:])[1] for c in (controls, controls[:, :steps])
-    )
+    whole, part = (planned("library", *given, c.contiguous())[1] for c in (controls, controls[:, :steps]))
     assert torch.equal(part, whole[:, :steps])
 
 
 def test_a_plan_is_the_same_on_any_number_of_threads():
-    at, dynamics = situation(ground()), model("dc")
-    cost_of = fused_costs(dynamics, start(dynamics, at), at, CostWeights(), encode_map(at.ground, dynamics.encoder))
-    settings, plans, threads = Settings(CONTROL_LIMITS, (0.3, 0.1, 0.3), samples=100), [], torch.get_num_threads()
+    cost_of, plans = fused(model("dc"), situation(ground())), []
+    settings = Settings(CONTROL_LIMITS, (0.3, 0.1, 0.3), samples=100)
     for count in (1, 2):
-        torch.set_num_threads(count)
-        draw = torch.Generator().manual_seed(0)
-        plans.append(improve(torch.zeros(STEPS, 3), cost_of, settings, draw, previous=torch.zeros(3)))
-    torch.set_num_threads(threads)
+        with torch_threads(count):
+            draw = torch.Generator().manual_seed(0)
+            plans.append(improve(torch.zeros(STEPS, 3), cost_of, settings, draw, previous=torch.zeros(3)))
     assert torch.equal(plans[0].costs, plans[1].costs)
     assert torch.equal(plans[0].controls, plans[1].controls)
 
 
-def test_a_sample_with_nan_costs_nan_and_others_do_not():
-    at, dynamics = situation(ground()), model("b")
-    cost_of = fused_costs(dynamics, start(dynamics, at), at, CostWeights(), encode_map(at.ground, None))
-    controls = commands(40)
+@paths
+@pytest.mark.parametrize("careful", [False, True])
+def test_a_sample_with_nan_costs_nan_and_others_do_not(careful, path):
+    at, dynamics, controls = situation(ground()), model("b"), commands(PATHS[path])
     controls[7, 30] = torch.nan
-    assert cost_of(controls).isnan().nonzero().flatten().tolist() == [7]
+    costs, _ = planned(path, dynamics, replace(at, caution=caution(dynamics)) if careful else at, controls)
+    assert costs.isnan().nonzero().flatten().tolist() == [7]
 
 
 def test_inputs_that_the_kernel_does_not_support_are_refused():
@@ -254,28 +335,23 @@ def test_inputs_that_the_kernel_does_not_support_are_refused():
     with pytest.raises(ValueError, match="the start is"):
         fused_costs(dynamics, spread_model_state(model_state, 2), at, CostWeights(), codes)
     with pytest.raises(ValueError, match="float64"):
-        fused_costs(dynamics, model_state, at, CostWeights(), codes)(commands(3).double())
+        fused(dynamics, at)(commands(3).double())
     with pytest.raises(ValueError, match="no kernel"):
         fused_costs(
             dynamics.double(), ModelState(*(p.double() for p in vars(model_state).values())), at, CostWeights(), codes
         )
 
 
-def test_places_off_the_map_end_no_process():
-    dynamics = model("dc")
-    for x, y in ((14.9, 14.9), (-15.2, 0), (1e9, -1e9), (torch.nan, 0), (torch.inf, 0)):
-        at = situation(ground(), state=(x, y, 0.7, 9, 0, 0))
-        codes = encode_map(at.ground, dynamics.encoder)
-        assert fused_costs(dynamics, start(dynamics, at), at, CostWeights(), codes)(commands(33)).shape == (33,)
+@paths
+@pytest.mark.parametrize("place", [(14.9, 14.9), (-15.2, 0), (1e9, -1e9), (torch.nan, 0), (torch.inf, 0)])
+def test_places_at_the_edge_and_nowhere_are_read_within_bounds(place, path):
+    given = model("dc"), situation(ground(), state=(*place, 0.7, 9, 0, 0)), commands(PATHS[path] // 2)[:, :20]
+    found, wanted = (planned(way, *given)[0] for way in (path, "eager"))
+    assert torch.equal(found.isfinite(), wanted.isfinite())
 
 
-def test_the_eager_cost_keeps_the_frame_of_the_situation():
+def test_the_cost_does_not_depend_on_the_frame_of_the_situation():
     at, dynamics = situation(layers(), state=(0.0, 0, 0, 5, 0, 0)), model("b")
-    moved = replace(
-        at, state=at.state - torch.tensor([5.0, 7, 0, 0, 0, 0]), offset=torch.tensor([5.0, 7.0], dtype=torch.float64)
-    )
-    costs = [
-        fused_costs(dynamics, start(dynamics, here), here, CostWeights(), encode_map(here.ground, None))(commands(8))
-        for here in (at, moved)
-    ]
-    torch.testing.assert_close(costs[0], costs[1], rtol=1e-2, atol=1e-2)
+    there, offset = at.state - torch.tensor([5.0, 7, 0, 0, 0, 0]), torch.tensor([5.0, 7.0], dtype=torch.float64)
+    one, other = (fused(dynamics, here)(commands(8)) for here in (at, replace(at, state=there, offset=offset)))
+    torch.testing.assert_close(one, other, rtol=1e-2, atol=1e-2)
