@@ -19,6 +19,7 @@ from offpiste.dynamics.torch_physics import (
     UNKNOWN,
     BicycleConstants,
     advance,
+    drive_train,
     mean_normal,
     parametric_forces,
     select_present,
@@ -48,9 +49,9 @@ class Parametric(Dynamics):
 
         def step(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
             state, actuators = model_state.state, model_state.actuators
-            normal = mean_normal(terrain, state[:, 2])
-            force = parametric_forces(self.vehicle, constants, state, actuators, control, normal)
-            after = advance(self.vehicle, constants, state, actuators, control, normal, force)
+            normal, inputs = mean_normal(terrain, state[:, 2]), drive_train(self.vehicle, state, actuators, control)
+            force = parametric_forces(constants, state, inputs, normal)
+            after = advance(constants, state, inputs.steer, normal, force)
             return ModelState(after, *self.actuators.step(lags, actuators, control, state[:, 3], model_state.recurrent))
 
         return step
@@ -104,11 +105,11 @@ class Hybrid(Dynamics):
         def step(model_state: ModelState, control: Tensor, terrain: Terrain) -> ModelState:
             state, actuators = model_state.state, model_state.actuators
             own, of_lags = model_state.recurrent.split(sizes, dim=-1)
-            normal = mean_normal(terrain, state[:, 2])
-            force = parametric_forces(self.vehicle, constants, state, actuators, control, normal)
+            normal, inputs = mean_normal(terrain, state[:, 2]), drive_train(self.vehicle, state, actuators, control)
+            force = parametric_forces(constants, state, inputs, normal)
             correction, own = self.compensator(self._inputs(state, actuators, control, normal, force, terrain), own)
             force = force + correction * self.force_scale
-            after = advance(self.vehicle, constants, state, actuators, control, normal, force)
+            after = advance(constants, state, inputs.steer, normal, force)
             actuators, of_lags = self.actuators.step(lags, actuators, control, state[:, 3], of_lags)
             return ModelState(after, actuators, torch.cat((own, of_lags), dim=-1))
 
@@ -138,7 +139,8 @@ class Hybrid(Dynamics):
         """Return the network's inputs at recorded rows."""
         state, actuators, control = history.state, history.actuators, history.control
         normal = mean_normal(history.terrain, state[..., 2])
-        force = parametric_forces(self.vehicle, self.bicycle(), state, actuators, control, normal)
+        inputs = drive_train(self.vehicle, state, actuators, control)
+        force = parametric_forces(self.bicycle(), state, inputs, normal)
         return self._inputs(state, actuators, control, normal, force, history.terrain)
 
     def _inputs(

@@ -95,30 +95,21 @@ def select_present(
 
 
 def parametric_forces(
-    vehicle: Vehicle,
-    constants: Constants,
-    state: Float[Tensor, "*B 6"],
-    actuators: Float[Tensor, "*B A"],
-    control: Float[Tensor, "*B U"],
-    normal: Float[Tensor, "*B 3"],
+    constants: Constants, state: Float[Tensor, "*B 6"], inputs: DriveTrain, normal: Float[Tensor, "*B 3"]
 ) -> Float[Tensor, "*B 4"]:
     """Return the force vector F (eq. 1)."""
-    inputs = drive_train(vehicle, state, actuators, control)
     vx, vy, yaw_rate = state[..., 3:].unbind(-1)
     return torch.stack(forces(vx, vy, yaw_rate, inputs, normal[..., 2], constants, TORCH), dim=-1)
 
 
 def advance(
-    vehicle: Vehicle,
     constants: Constants,
     state: Float[Tensor, "B 6"],
-    actuators: Float[Tensor, "B A"],
-    control: Float[Tensor, "B U"],
+    steer: Float[Tensor, " B"],
     normal: Float[Tensor, "B 3"],
     force: Float[Tensor, "B 4"],
 ) -> Float[Tensor, "B 6"]:
     """Return the state after one step: h(F, x) (eq. 4) and forward Euler."""
-    steer = drive_train(vehicle, state, actuators, control).steer
     yaw, vx, vy, yaw_rate = state[..., 2:].unbind(-1)
     total = Force(*force.unbind(-1))
     change = rates(yaw, vx, vy, yaw_rate, steer, normal[..., 0], normal[..., 1], total, constants, TORCH)
