@@ -36,6 +36,11 @@ def torch_threads(count: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+def drawn(*shape: int, seed: int = 0) -> Tensor:
+    """Normal numbers in float64, which depend on shape and seed alone."""
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
 VEHICLE = Vehicle(mass=800.0, wheelbase=2.2, max_steer=0.4, control=CONTROL, actuators=ACTUATORS, features=2)
 """A vehicle whose log has everything."""
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from factories import circle_rows, dataset_in_memory
+from factories import circle_rows, dataset_in_memory, torch_threads
 from feature_datasets import dataset_with_features, with_snapshots
 from offpiste.core.conventions import DT
 from offpiste.core.errors import DatasetError
@@ -16,6 +16,7 @@ from offpiste.dataset.resample import Rows
 from offpiste.dataset.splits import Split
 from offpiste.dataset.windows import Windows
 from offpiste.dynamics import MODELS
+from offpiste.training import prediction
 from offpiste.training.prediction import PathTerrain, codes_of_cells, predict_windows
 from offpiste.training.run import vehicle_of
 
@@ -109,7 +110,7 @@ WAYS = [(torch.float32, 4), (torch.float64, 4), (torch.float64, 2), (torch.float
 def codes_read(way=codes_of_cells, dtype=torch.float64, size=4, cells=None) -> tuple[torch.Tensor, torch.Tensor]:
     """Codes and the gradient of a weighted sum; a quarter of the cells is never read."""
     draw = torch.Generator().manual_seed(0)
-    cells = torch.randint(0, 225, (64, 250, 4), generator=draw) if cells is None else cells
+    cells = torch.randint(0, 225, (64, 250, 4), generator=draw, dtype=torch.int32) if cells is None else cells
     codes = torch.randn(300, size, generator=draw).to(dtype).requires_grad_()
     weight = torch.randn(*cells.shape, size, generator=draw).to(dtype)
     found = way(codes, cells)
@@ -124,12 +125,8 @@ def indexed(codes: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
 @pytest.mark.parametrize(("dtype", "size"), WAYS)
 def test_codes_and_gradients_equal_those_of_indexing_and_repeat(dtype, size) -> None:
     """The gradient of indexing itself adds the contributions of threads in any order."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(4)
-    try:
+    with torch_threads(4):
         (codes, first), *others = (codes_read(dtype=dtype, size=size) for _ in range(6))
-    finally:
-        torch.set_num_threads(threads)
     assert all(torch.equal(first, gradient) for _, gradient in others)
     expected, gradient = codes_read(indexed, dtype, size)
     assert torch.equal(codes, expected)
@@ -144,6 +141,12 @@ def test_codes_and_gradients_equal_those_of_indexing_and_repeat(dtype, size) -> 
     empty, gradient = codes_read(dtype=dtype, size=size, cells=torch.zeros((0, 4), dtype=torch.int64))
     assert empty.shape == (0, 4, size)
     assert (gradient == 0).all()
+
+
+def test_gradients_of_codes_do_not_need_the_compiled_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, wanted = codes_read(dtype=torch.float32)
+    monkeypatch.setattr(prediction, "library", lambda: None)
+    torch.testing.assert_close(codes_read(dtype=torch.float32)[1], wanted)
 
 
 def test_training_drives_are_not_read_on_the_driven_path_if_others_have_maps(tmp_path: Path) -> None:

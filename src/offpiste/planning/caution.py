@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from offpiste.core.errors import PlanningError
 from offpiste.core.state import TerrainSource, Trajectory
 from offpiste.dynamics.kernels.layout import COMMANDS
+from offpiste.dynamics.kernels.networks import linear_layers
 from offpiste.dynamics.vehicle import Vehicle
 from offpiste.uncertainty.spread import MOTION, Spread, inputs_along, inputs_of
 
@@ -106,7 +107,7 @@ def spread_weights(caution: Caution, vehicle: Vehicle, codes: int) -> SpreadWeig
     spread, inputs = caution.spread, inputs_of(vehicle, codes)
     if len(spread.mean) != inputs:
         raise ValueError(f"the spread has {len(spread.mean)} inputs; this model's has {inputs}")
-    first, last = (layer for layer in spread.layers.children() if isinstance(layer, nn.Linear))
+    first, last = linear_layers(spread.layers)
     scaled = first.weight / spread.deviation
     start, reach = nn.functional.softplus(spread.start).square(), caution.reach * float(spread.factor)
     before, controls = len(MOTION), [COMMANDS.index(name) for name in vehicle.control]

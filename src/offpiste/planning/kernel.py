@@ -26,7 +26,7 @@ from offpiste.native.tensors import CHUNK, Arrays, call
 from offpiste.planning.caution import Caution, spread_weights
 from offpiste.planning.controls import complete
 from offpiste.planning.costs.declaration import cost_terms
-from offpiste.planning.costs.layers import CostLayer
+from offpiste.planning.costs.layers import CostLayer, CostMap
 from offpiste.planning.costs.text import terms_text
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
@@ -204,8 +204,7 @@ def _situation(
         slope = slope.expand(-1, 2, -1)
     if max(array.numel() for array in (slope, cells, costs.layers)) >= 2**31:
         raise ValueError("a map of 2^31 numbers or more is not supported")
-    ground = _grid(situation, maps.origin[0], maps.resolution, cells)
-    of_costs = _grid(situation, costs.origin, costs.resolution, costs.layers)
+    ground, of_costs = (_Grid(*grid_numbers(situation, of)) for of in (maps, costs))
     return _Situation(
         ground=ground,
         costs=of_costs,
@@ -225,8 +224,11 @@ def _situation(
     )
 
 
-def _grid(situation: Situation, origin: Tensor, resolution: float, cells: Float[Tensor, "ny nx _"]) -> _Grid:
-    return _Grid(*(situation.offset - origin).tolist(), 1 / resolution, *cells.shape[:2])
+def grid_numbers(situation: Situation, cells: MapStack | CostMap) -> tuple[float | int, ...]:
+    """Return the offset of the first cell from the situation [m], cells per metre, rows and columns."""
+    origin = cells.origin[0] if isinstance(cells, MapStack) else cells.origin
+    rows, columns = cells.shape if isinstance(cells, MapStack) else cells.layers.shape[:2]
+    return *(situation.offset.cpu() - origin.cpu()).tolist(), 1 / cells.resolution, rows, columns
 
 
 def _stray(caution: Caution | None, dynamics: Dynamics, arrays: Arrays) -> _Stray:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from dynamics.kernels.test_rollout import Result, assert_agree, assert_same_for_threads, gradients
 from offpiste.dynamics.feature_encoder import Compressor, Identity
-from offpiste.dynamics.kernels.encoder import CELLS, codes_under_wheels, encode_cells, supports_encoder
+from offpiste.dynamics.kernels.encoder import CELLS, encode_cells, supports_encoder
 
 
 def example(features: int = 8, size: int = 4) -> Compressor:
@@ -67,18 +67,3 @@ def test_unsupported_input_is_left_to_torch() -> None:
     assert not supports_encoder(example(), values)
     assert not supports_encoder(Identity(8), values)
     assert not supports_encoder(example().float(), values.nan_to_num().requires_grad_())
-
-
-@pytest.mark.parametrize("kind", [torch.int32, torch.int64])
-def test_codes_under_wheels_and_their_gradient_are_those_of_indexing(kind: torch.dtype) -> None:
-    draw = torch.Generator().manual_seed(0)
-    codes = torch.randn(30, 3, generator=draw, requires_grad=True)
-    # Some cells many times, some never.
-    rows = torch.randint(0, 25, (7, 11, 4), generator=draw).to(kind)
-    weight = torch.randn(7, 11, 4, 3, generator=draw)
-    found = codes_under_wheels(codes, rows)
-    assert torch.equal(found, codes[rows.long()])
-    (given,) = torch.autograd.grad((weight * found).sum(), codes)
-    (wanted,) = torch.autograd.grad((weight.double() * codes.double()[rows.long()]).sum(), codes)
-    torch.testing.assert_close(given, wanted, atol=1e-5, rtol=1e-5)
-    assert not given[25:].any()

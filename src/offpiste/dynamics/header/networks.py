@@ -25,9 +25,7 @@ LANE = 4
 
 def network_members(of: ModelNetwork) -> dict[str, Tensor]:
     """Return the tensors of a network's C struct, keyed by member name in declaration order."""
-    seen, module = len(of.inputs), of.compensator
-    ranges = {"mean": module.mean, "inverse_scale": 1 / module.scale, "low": module.low, "high": module.high}
-    padded = {name: pad(values[:seen], (0, -seen % LANE)) for name, values in ranges.items()}
+    padded = {name: pad(values, (0, -len(values) % LANE)) for name, values in of.ranges().items()}
     return padded | of.weights._asdict()
 
 

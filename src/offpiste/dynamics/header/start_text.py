@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder
@@ -11,7 +11,7 @@ from offpiste.dynamics.header.networks import network_text, sized
 from offpiste.dynamics.header.step_text import MOVED, inputs_text, shipped_text
 from offpiste.dynamics.kernels import layout
 from offpiste.dynamics.kernels.coverage import uncovered_encoder
-from offpiste.dynamics.kernels.networks import ModelNetwork, model_networks, units
+from offpiste.dynamics.kernels.networks import ModelNetwork, linear_layers, model_networks, units, with_bias
 
 
 def start_text(dynamics: Dynamics) -> str:
@@ -19,7 +19,8 @@ def start_text(dynamics: Dynamics) -> str:
     networks = model_networks(dynamics)
     parts = []
     for of in networks:
-        sizes = {"SPAN": of.compensator.init_cell.hidden_size, "BREADTH": _layers(of)[0].out_features}
+        first, _ = linear_layers(of.compensator.init_output)
+        sizes = {"SPAN": of.compensator.init_cell.hidden_size, "BREADTH": first.out_features}
         parts.append(network_text(of, sized(shipped_text("start.h"), sizes)))
     return "\n".join((*parts, _start(dynamics, networks)))
 
@@ -39,7 +40,7 @@ def encoder_text(encoder: FeatureEncoder) -> str:
         raise ValueError(f"no C code of this encoder: {reason}")
     sizes = {"FEATURES": len(encoder.mean), "COMPRESSED": int(isinstance(encoder, Compressor))}
     if isinstance(encoder, Compressor):
-        first, second, last = _linear(encoder.layers)
+        first, second, last = linear_layers(encoder.layers)
         sizes |= {"FIRST": first.out_features, "SECOND": second.out_features, "CODE": last.out_features}
     return sized(shipped_text("encoder.h"), sizes)
 
@@ -48,30 +49,18 @@ def encoder_members(encoder: FeatureEncoder) -> dict[str, Tensor]:
     """Numbers of `offpiste_encoder` by name, in order."""
     if not isinstance(encoder, Compressor):
         return {"mean": encoder.mean}
-    names = zip(("first", "second", "last"), map(_with_bias, _linear(encoder.layers)), strict=True)
+    names = zip(("first", "second", "last"), map(with_bias, linear_layers(encoder.layers)), strict=True)
     return {"mean": encoder.mean, "inverse_scale": 1 / encoder.scale, **dict(names)}
 
 
-def _linear(layers: nn.Module) -> list[nn.Linear]:
-    return [layer for layer in layers.children() if isinstance(layer, nn.Linear)]
-
-
-def _layers(of: ModelNetwork) -> list[nn.Linear]:
-    return _linear(of.compensator.init_output)
-
-
-def _with_bias(layer: nn.Linear) -> Tensor:
-    return torch.cat((layer.weight.t(), layer.bias[None]))
-
-
 def _members(of: ModelNetwork) -> dict[str, Tensor]:
-    weights, (first, last) = of.compensator.init_cell.state_dict(), _layers(of)
+    weights, (first, last) = of.compensator.init_cell.state_dict(), linear_layers(of.compensator.init_output)
     bias = (weights["bias_ih_l0"] + weights["bias_hh_l0"])[None]
     return {
         "from_inputs": torch.cat((weights["weight_ih_l0"].t(), bias)),
         "from_hidden": weights["weight_hh_l0"].t(),
-        "first": _with_bias(first),
-        "last": _with_bias(last),
+        "first": with_bias(first),
+        "last": with_bias(last),
     }
 
 

@@ -16,6 +16,7 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder, Identity
 from offpiste.dynamics.hybrid import Hybrid, Parametric
 from offpiste.dynamics.kernels import layout
+from offpiste.dynamics.kernels.networks import linear_layers
 from offpiste.dynamics.lstm import LSTM, Compensator
 from offpiste.dynamics.torch_physics import BicycleConstants
 from offpiste.dynamics.vehicle import Vehicle
@@ -70,11 +71,9 @@ def uncovered_encoder(encoder: FeatureEncoder | None) -> str:
         return ""
     if isinstance(encoder, Compressor):
         return _not_exactly(encoder, Compressor) or _not_layers(encoder.layers, 3) or _not_widths(encoder)
-    return (
-        _not_exactly(encoder, Identity)
-        if isinstance(encoder, Identity)
-        else f"its encoder is a {type(encoder).__name__}"
-    )
+    if isinstance(encoder, Identity):
+        return _not_exactly(encoder, Identity)
+    return f"its encoder is a {type(encoder).__name__}"
 
 
 def unknown_channels(vehicle: Vehicle) -> Sequence[str]:
@@ -111,7 +110,7 @@ def _methods(kind: type) -> frozenset[str]:
 
 def _not_widths(encoder: Compressor) -> str:
     """Return which width of an encoder's layers the kernels do not read; empty if there is none."""
-    first, second, last = (layer for layer in encoder.layers if isinstance(layer, nn.Linear))
+    first, second, last = linear_layers(encoder.layers)
     if first.out_features % 4 or second.out_features % 4:
         return "its hidden layers have no multiple of 4 units"
     if last.out_features != encoder.size:

@@ -8,13 +8,13 @@ from ctypes import Structure, c_int, c_void_p
 from typing import Any, Final
 
 import torch
-from jaxtyping import Bool, Float, Int
-from torch import Tensor, nn
+from jaxtyping import Bool, Float
+from torch import Tensor
 from torch.autograd.function import once_differentiable
-from torch.nn.functional import pad
 
 from offpiste.dynamics.feature_encoder import Compressor, FeatureEncoder
 from offpiste.dynamics.kernels.coverage import uncovered_encoder
+from offpiste.dynamics.kernels.networks import linear_layers, widened, with_bias
 from offpiste.native.library import library
 from offpiste.native.tensors import Arrays, call, new_floats
 
@@ -83,9 +83,7 @@ def encoder_of(encoder: FeatureEncoder | None, matrices: Sequence[Tensor] | None
 
 def _matrices(encoder: Compressor) -> list[Tensor]:
     """Return the layers input by input with their biases as last rows, differentiable."""
-    linear = [layer for layer in encoder.layers.children() if isinstance(layer, nn.Linear)]
-    layers = [torch.cat((layer.weight.t(), layer.bias[None])) for layer in linear]
-    return [pad(layer, (0, -layer.shape[1] % 4)) for layer in layers]
+    return [widened(with_bias(layer)) for layer in linear_layers(encoder.layers)]
 
 
 class _Encode(torch.autograd.Function):
@@ -109,27 +107,3 @@ class _Encode(torch.autograd.Function):
         by_chunk = [new_floats(chunks, *shape) for shape in ctx.shapes]
         call("encode_back", chunks, ctx.encoder, ctx.cells, bar.contiguous(), *by_chunk)
         return None, None, None, *(adjoint.sum(dim=0) for adjoint in by_chunk)
-
-
-def codes_under_wheels(codes: Float[Tensor, "M E"], cells: Int[Tensor, "*S"]) -> Float[Tensor, "*S E"]:
-    """Return `codes[cells]`, whose gradient is summed in the order of `cells`; codes are float32 on the CPU."""
-    return _Take.apply(codes, cells)  # type: ignore[no-untyped-call, no-any-return]
-
-
-class _Take(torch.autograd.Function):
-    """Codes of cells, and the sum of their adjoints by cell."""
-
-    @staticmethod
-    def forward(ctx: Any, codes: Tensor, cells: Tensor) -> Tensor:
-        """Return codes [*S, E]."""
-        ctx.cells, ctx.count = cells, len(codes)
-        return codes.index_select(0, cells.flatten()).view(*cells.shape, codes.shape[1])
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, bar: Tensor) -> tuple[Tensor, None]:
-        """Return the adjoint of the codes."""
-        codes_bar = new_floats(ctx.count, bar.shape[-1]).zero_()
-        cells = ctx.cells.flatten().long()
-        call("add_by_cell", 1, bar.contiguous(), cells, len(cells), bar.shape[-1], codes_bar)
-        return codes_bar, None

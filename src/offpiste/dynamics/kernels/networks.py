@@ -56,6 +56,12 @@ class ModelNetwork(NamedTuple):
         """Units of the hidden layer, as many as are computed."""
         return self.weights.inner.shape[1]
 
+    def ranges(self) -> dict[str, Float[Tensor, " I"]]:
+        """Return standardisation and range of the inputs, by the names that compiled code has for them."""
+        of, seen = self.compensator, len(self.inputs)
+        values = {"mean": of.mean, "inverse_scale": 1 / of.scale, "low": of.low, "high": of.high}
+        return {name: value[:seen] for name, value in values.items()}
+
 
 def weights(compensator: Compensator, scale: Tensor | None = None, *, apart: int = 0) -> Weights:
     """Return the weights of a network, differentiable.
@@ -66,27 +72,38 @@ def weights(compensator: Compensator, scale: Tensor | None = None, *, apart: int
     """
     cell = compensator.cell
     assert isinstance(cell, LSTM)
-    first, last = (layer for layer in compensator.output.children() if isinstance(layer, nn.Linear))
+    first, last = linear_layers(compensator.output)
     seen = cell.input_size - apart
     from_hidden, from_inputs, _ = first.weight.split((layout.HIDDEN, seen, apart), dim=1)
     bias = (cell.bias_ih + cell.bias_hh)[None]
-    inner = _widened(torch.cat((from_inputs.t(), first.bias[None], from_hidden.t())))
+    inner = widened(torch.cat((from_inputs.t(), first.bias[None], from_hidden.t())))
     outer = torch.cat((pad(last.weight.t(), (0, 0, 0, -last.in_features % 4)), last.bias[None]))
     return Weights(
         torch.cat((cell.weight_hh.t(), cell.weight_ih[:, :seen].t(), bias)),
         inner,
-        _widened(outer if scale is None else outer * scale),
+        widened(outer if scale is None else outer * scale),
     )
 
 
 def weights_apart(compensator: Compensator, apart: int) -> Float[Tensor, "I N"]:
     """Return the weights of the last `apart` inputs on gates, then hidden layer, differentiable."""
-    first = next(layer for layer in compensator.output.children() if isinstance(layer, nn.Linear))
+    first, _ = linear_layers(compensator.output)
     assert isinstance(compensator.cell, LSTM)
-    return torch.cat((compensator.cell.weight_ih[:, -apart:].t(), _widened(first.weight[:, -apart:].t())), dim=1)
+    return torch.cat((compensator.cell.weight_ih[:, -apart:].t(), widened(first.weight[:, -apart:].t())), dim=1)
 
 
-def _widened(matrix: Tensor) -> Tensor:
+def linear_layers(module: nn.Module) -> list[nn.Linear]:
+    """Return the linear layers among the children of a module, in order."""
+    return [layer for layer in module.children() if isinstance(layer, nn.Linear)]
+
+
+def with_bias(layer: nn.Linear) -> Float[Tensor, "I O"]:
+    """Return the weights of a layer input by input, and its bias as the last row, differentiable."""
+    return torch.cat((layer.weight.t(), layer.bias[None]))
+
+
+def widened(matrix: Float[Tensor, "I O"]) -> Float[Tensor, "I N"]:
+    """Return a matrix with columns of zeros up to a multiple of four."""
     return pad(matrix, (0, -matrix.shape[1] % 4))
 
 

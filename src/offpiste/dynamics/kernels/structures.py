@@ -102,15 +102,12 @@ def _model(
 
 
 def _network(arrays: Arrays, of: ModelNetwork, first_unit: int) -> _Network:
-    seen, module = len(of.inputs), of.compensator
-    ranges = {"mean": module.mean, "inverse_scale": 1 / module.scale, "low": module.low, "high": module.high}
     return _Network(
-        inputs=seen,
+        inputs=len(of.inputs),
         width=of.width,
         outputs=of.weights.outer.shape[1],
         first_output=of.first_output,
         first_unit=first_unit,
         rows=arrays.whole(list(of.inputs)),
-        **{name: arrays.floats(values[:seen]) for name, values in ranges.items()},
-        **{name: arrays.floats(matrix) for name, matrix in of.weights._asdict().items()},
+        **{name: arrays.floats(values) for name, values in (of.ranges() | of.weights._asdict()).items()},
     )

@@ -14,13 +14,11 @@ from offpiste.dynamics.base import Dynamics
 from offpiste.dynamics.header.networks import LANE, packed_parameters
 from offpiste.dynamics.kernels.layout import COMMANDS
 from offpiste.dynamics.kernels.model_state import to_kernel_state
-from offpiste.mapping.terrain_sampler import MapStack
 from offpiste.native.cuda_kernels import Kernels
 from offpiste.planning.caution import Caution, spread_weights
-from offpiste.planning.costs.layers import CostMap
 from offpiste.planning.costs.weights import CostWeights
 from offpiste.planning.driving_cost import Situation
-from offpiste.planning.kernel import Codes
+from offpiste.planning.kernel import Codes, grid_numbers
 from offpiste.uncertainty.spread import MOTION
 
 Maps = tuple[Tensor, Tensor, Tensor]
@@ -72,8 +70,8 @@ def packed_situation(
     parts = (
         missing,
         np.zeros(-len(missing) % LANE),
-        _grid(situation.ground, situation),
-        _grid(situation.costs, situation),
+        grid_numbers(situation, situation.ground),
+        grid_numbers(situation, situation.costs),
         situation.wheels.cpu().flatten(),
         [situation.gear],
         situation.control.cpu(),
@@ -102,10 +100,3 @@ def packed_maps(situation: Situation, codes: Codes, device: torch.device) -> Map
     cells = situation.ground.slope[0], codes[0], situation.costs.layers
     slope, code, layers = (part.to(device, torch.float32).contiguous() for part in cells)
     return slope, code, layers
-
-
-def _grid(cells: MapStack | CostMap, situation: Situation) -> tuple[float | int, ...]:
-    """Return the offset of the first cell from the situation, cells per metre, rows and columns."""
-    origin = cells.origin[0] if isinstance(cells, MapStack) else cells.origin
-    rows, columns = cells.shape if isinstance(cells, MapStack) else cells.layers.shape[:2]
-    return *(situation.offset.cpu() - origin.cpu()).tolist(), 1 / cells.resolution, rows, columns
