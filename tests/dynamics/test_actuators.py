@@ -77,7 +77,7 @@ def test_absent_actuators_and_those_without_a_command_stay_unchanged():
     now = torch.full((1, 4), torch.nan)
     model = Actuators(COMMANDED)
     assert model.recurrent_size == 0
-    after, _ = model.step(model.constants(), now, torch.rand(1, 3), torch.ones(1), torch.zeros(1, 0))
+    after, _ = model.step(model.constants(), now, torch.full((1, 3), 0.5), torch.ones(1), torch.zeros(1, 0))
     assert after.isnan().all()
     model = Actuators(replace(VEHICLE, control=("throttle",))).double()
     rows = run(model, [0.3, 0.2, 0.1, 2.0], [0.5, math.nan, math.nan], 10)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from factories import COMMANDED, VEHICLE, Situation, gradients_agree, unsettled
+from factories import COMMANDED, VEHICLE, Situation, drawn, gradients_agree, unsettled
 from offpiste.core.conventions import ACTUATORS, CONTROL
 from offpiste.core.state import ModelState, RecordedTerrain, TerrainSource, Trajectory
 from offpiste.dynamics import MODELS, Dynamics, Vehicle, as_callable, rollout
@@ -122,7 +122,7 @@ def test_the_callable_for_other_planners_and_a_single_step_equal_the_rollout(nam
 
 @pytest.mark.parametrize("networks", [0, 1, 3])
 def test_a_packed_model_state_is_unpacked_unchanged(networks):
-    model_state = ModelState(torch.rand(5, 6), torch.rand(5, 4), torch.rand(5, 8 * networks))
+    model_state = ModelState(drawn(5, 6), drawn(5, 4), drawn(5, 8 * networks))
     for packed, unpack in (
         (model_state.pack(), ModelState.unpack), (to_kernel_state(model_state), from_kernel_state)
     ):  # fmt: skip

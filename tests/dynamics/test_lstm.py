@@ -2,14 +2,14 @@
 
 import torch
 
-from factories import gradients_agree, unsettled
+from factories import drawn, gradients_agree, unsettled
 from offpiste.dynamics.lstm import Compensator
 
 
 def test_it_has_the_papers_sizes_and_corrects_nothing_before_training():
     network = Compensator(5, 3)
     assert (network.cell.hidden_size, network.init_cell.hidden_size, network.output[0].out_features) == (4, 20, 20)
-    out, state = network(torch.randn(7, 5), network.start(torch.randn(7, 10, 5)))
+    out, state = network(drawn(7, 5).float(), network.start(drawn(7, 10, 5).float()))
     assert (out == 0).all()
     assert (state != 0).any()
 
@@ -17,7 +17,7 @@ def test_it_has_the_papers_sizes_and_corrects_nothing_before_training():
 def test_its_step_is_an_lstm_cell_on_standardised_inputs():
     network = unsettled(Compensator(2, 1).double())
     network.standardise_on(torch.tensor([[0.0, 10.0], [2.0, 10.0]]).double(), slice(0))
-    x, h, c = torch.tensor([[3.0, 11.0]]).double(), torch.rand(1, 4).double(), torch.rand(1, 4).double()
+    x, h, c = torch.tensor([[3.0, 11.0]]).double(), drawn(1, 4), drawn(1, 4, seed=1)
     # Column 0: mean 1, deviation sqrt(2); column 1 does not vary and keeps its unit.
     seen = torch.tensor([[2 / 2**0.5, 1.0]]).double()
     cell = network.cell
@@ -35,7 +35,7 @@ def test_beyond_their_range_inputs_are_clamped_and_the_output_fades():
     rows = torch.linspace(-1, 1, 2001, dtype=torch.float64)[:, None] * torch.tensor([1.0, 10.0, 0.0]).double() + 5
     # The second input is a share, the third does not vary: its range is a point.
     network.standardise_on(rows, slice(1, 2), ranged=3)
-    at_end, state = torch.tensor([[5.99, 3.0, 5.0]], dtype=torch.float64), torch.rand(1, 8).double()
+    at_end, state = torch.tensor([[5.99, 3.0, 5.0]], dtype=torch.float64), drawn(1, 8)
     reference, after = network(at_end, state)
     torch.testing.assert_close(network.high[0] * network.scale[0] + network.mean[0], at_end[0, 0])
     sigma = network.scale[0].item()
@@ -52,7 +52,7 @@ def test_beyond_their_range_inputs_are_clamped_and_the_output_fades():
 
 def test_every_row_of_the_history_counts():
     network = unsettled(Compensator(3, 1).double())
-    history = torch.randn(1, 10, 3).double()
+    history = drawn(1, 10, 3)
     changed = history.repeat(10, 1, 1) + torch.eye(10)[..., None]
     apart = (network.start(changed) - network.start(history)).abs().amax(dim=1)
     assert (apart > 1e-9).all()
@@ -60,7 +60,7 @@ def test_every_row_of_the_history_counts():
 
 def test_gradients_equal_finite_differences():
     network = unsettled(Compensator(3, 2).double())
-    history, now = torch.randn(2, 10, 3).double(), torch.randn(2, 3).double()
+    history, now = drawn(2, 10, 3), drawn(2, 3)
 
     def run(network: Compensator) -> torch.Tensor:
         out, state = network(now, network.start(history))

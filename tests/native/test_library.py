@@ -71,25 +71,18 @@ def test_without_it_controls_and_courses_are_computed_by_torch_and_scipy(without
     np.testing.assert_allclose(cells, [[[0, 1], [0, 3]], [[3, 1], [3, 3]]])
 
 
-def test_a_damaged_library_is_done_without(tmp_path, monkeypatch, caplog):
-    (tmp_path / "_baseline.so").write_bytes(b"damaged")
-    monkeypatch.setattr(library, "__file__", str(tmp_path / "library.py"))
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [("__file__", "{}/library.py", "file too short"), ("digest", lambda: "x", "built from other")],
+)
+def test_a_damaged_library_and_one_of_other_sources_are_done_without(name, value, said, tmp_path, monkeypatch, caplog):
+    (tmp_path / "_baseline.so").touch()
+    monkeypatch.setattr(library, name, value.format(tmp_path) if isinstance(value, str) else value)
     library._loaded.cache_clear()
-    try:
-        assert library._loaded("baseline") is None
-        assert "install offpiste again" in caplog.text
-    finally:
-        library._loaded.cache_clear()
-
-
-def test_a_library_of_other_sources_is_done_without(monkeypatch, caplog):
-    monkeypatch.setattr(library, "digest", lambda: "another")
+    assert library._loaded("baseline") is None
     library._loaded.cache_clear()
-    try:
-        assert library._loaded("baseline") is None
-        assert "built from other sources); install offpiste again" in caplog.text
-    finally:
-        library._loaded.cache_clear()
+    assert said in caplog.text
+    assert "install offpiste again" in caplog.text
 
 
 def test_entries_refuse_arrays_of_another_type_or_layout():

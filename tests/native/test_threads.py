@@ -6,6 +6,7 @@ import time
 import pytest
 import torch
 
+from factories import torch_threads
 from offpiste.native.threads import single_threaded_torch, spread_blocks, spread_kernel
 
 
@@ -46,21 +47,14 @@ def test_an_error_leaves_no_thread_at_work():
     assert done, "arrays may be freed from now on"
 
 
-@pytest.fixture
-def two_torch_threads():
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
-
-
 def parts(blocks):
     found = []
     spread_kernel(blocks, lambda first, last: found.append((first, last)))
     return sorted(found)
 
 
-def test_kernels_use_as_many_threads_as_torch(two_torch_threads):
+@torch_threads(2)
+def test_kernels_use_as_many_threads_as_torch():
     assert parts(5) == [(0, 2), (2, 5)]
     with single_threaded_torch():
         assert torch.get_num_threads() == 1
@@ -71,7 +65,8 @@ def test_kernels_use_as_many_threads_as_torch(two_torch_threads):
     assert torch.get_num_threads() == 2
 
 
-def test_torch_has_its_threads_back_after_an_error(two_torch_threads):
+@torch_threads(2)
+def test_torch_has_its_threads_back_after_an_error():
     with pytest.raises(ValueError, match="no"), single_threaded_torch():
         raise ValueError("no")
     assert torch.get_num_threads() == 2

@@ -6,6 +6,7 @@ import jaxtyping
 import pytest
 import torch
 
+from factories import drawn
 from offpiste.planning.controls import (
     CONTROL_LIMITS,
     Limits,
@@ -74,9 +75,8 @@ def test_without_rates_only_bounds_apply():
 def test_throttle_and_brake_are_never_pressed_together():
     feet = torch.tensor([[0.7, 0.1], [-0.4, -1.0], [0.0, 0.5]])
     assert controls_of(feet).tolist() == [[*p] for p in torch.tensor([[0.7, 0, 0.1], [0, 0.4, -1], [0, 0, 0.5]])]
-    random = torch.rand(5, 7, 2) * 2 - 1
-    torch.testing.assert_close(pedals_of(controls_of(random)), random)
-    assert (controls_of(random)[..., :2].prod(dim=-1) == 0).all()
+    torch.testing.assert_close(pedals_of(controls_of(drawn(5, 7, 2))), drawn(5, 7, 2))
+    assert (controls_of(drawn(5, 7, 2))[..., :2].prod(dim=-1) == 0).all()
 
 
 def test_costs_are_those_of_the_controls():

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
+from factories import torch_threads
 from offpiste.planning.course import ASTRAY, BLOCK, NEAR, Course, CourseTracker, Goal, along_path, ways_from
 from planning_maps import layers
 from runtime.stream import course
@@ -81,10 +81,8 @@ def winding(seed):
 @pytest.mark.parametrize(("seed", "threads"), [(0, 1), (1, 2), (2, 2)])
 def test_near_the_path_exact_and_far_to_a_fifth_of_a_cell_or_a_diagonal(seed, threads):
     path, x, y = winding(seed), SIZE * np.arange(-90, 61), SIZE * np.arange(-70, 83)
-    before = torch.get_num_threads()
-    torch.set_num_threads(threads)
-    found = along_path(path, np.arange(len(path), dtype=np.float32)[:, None], x, y)
-    torch.set_num_threads(before)
+    with torch_threads(threads):
+        found = along_path(path, np.arange(len(path), dtype=np.float32)[:, None], x, y)
     away = np.sqrt((x[None, :, None] - path[:, 0]) ** 2 + (y[:, None, None] - path[:, 1]) ** 2)
     least, number = away.min(axis=-1), found[..., 1].astype(int)
     # Distances are those of the points that are named.

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from factories import torch_threads
 from offpiste.planning import noise
 from offpiste.planning.noise import coloured, spectrum, threefry
 
@@ -13,11 +14,10 @@ def drawn(shape, seed=0, **options):
 
 
 def test_a_seed_repeats_on_any_number_of_threads_and_another_does_not():
-    draws, threads = [], torch.get_num_threads()
+    draws = []
     for count in (1, 3):
-        torch.set_num_threads(count)
-        draws.append(drawn((100, 12, 2)))
-    torch.set_num_threads(threads)
+        with torch_threads(count):
+            draws.append(drawn((100, 12, 2)))
     assert torch.equal(*draws)
     assert not torch.allclose(draws[0], drawn((100, 12, 2), seed=1))
     assert len(draws[0].flatten().unique()) == draws[0].numel(), "no part repeats another"
