@@ -64,7 +64,9 @@ def test_every_risk_but_none_needs_a_spread():
         caution_of(WorstShare(), None)
 
 
-@pytest.mark.parametrize(("yaw", "away"), [(0.0, 0.5), (np.pi / 2, 2.0), (np.pi, 0.5), (-np.pi / 2, 2.0)])
+@pytest.mark.parametrize(
+    ("yaw", "away"), [(0.0, 0.5), (np.pi / 2, 2.0), (np.pi, 0.5), (float(np.arctan2(-0.8, 0.6)), 1.9)]
+)
 def test_the_margin_is_added_to_the_distance_across_the_course(yaw, away):
     """The course runs along x, 3 m beside the vehicle, with margins of 2 m along its heading and 0.5 m across."""
     state = torch.tensor([0.0, 3.0, yaw, 5, 0, 0]).expand(1, 4, 6)

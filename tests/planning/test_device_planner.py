@@ -27,39 +27,49 @@ SETTINGS = Settings(
 )  # fmt: skip
 
 
-def parts(at, kind="dc"):
-    dynamics = model(kind)
-    return dynamics, start(dynamics, at), encode_map(at.ground, dynamics.encoder)
+DYNAMICS = model("dc")
+SLOPE = situation(layers(plane=(0.05, -0.1)), state=(-10.0, 1, 0.1, 4, 0, 0))
 
 
-def drawn_on_device(settings):
-    """Settings for the CPU with the noise that a device draws from the same seed."""
-    return replace(settings, noise=prepared(settings.noise, STEPS, torch.device("cpu")))
+def given(at, plan):
+    """Arguments of a plan."""
+    return plan, start(DYNAMICS, at), at, CostWeights(), encode_map(at.ground, DYNAMICS.encoder)
+
+
+def planner(at=SLOPE, settings=SETTINGS, *, seed=3, capture=None, wrong=("", "")):
+    """A planner with kernels for the layers and the caution of a situation; `wrong` exchanges a part of their text."""
+    text = plan_text(DYNAMICS, at.costs.table, at.caution)
+    assert wrong[0] in text
+    kernels, generator = HostKernels(text.replace(*wrong)), torch.Generator().manual_seed(seed)
+    return DevicePlanner(kernels, DYNAMICS, settings, generator, capture)
+
+
+def reference(settings, plan, *rest, previous, generator):
+    """The plan of `mppi.improve` with the noise that a device draws from the same seed."""
+    costs = fused_costs(DYNAMICS, *rest)
+    settings = replace(settings, noise=prepared(settings.noise, STEPS, torch.device("cpu")))
+    cost_of = with_pedal(costs) if plan.shape[1] == 2 else costs
+    return improve(plan, cost_of, settings, generator, previous=previous)
 
 
 @needs_gcc
 @pytest.mark.parametrize(
-    "settings",
+    ("settings", "careful"),
     [
-        SETTINGS,
-        replace(SETTINGS, noise=partial(coloured, exponent=1.0, period=150, highest=20)),
-        Settings(replace(CONTROL_LIMITS, rate=None), (0.3, 0.1, 0.3), samples=100),
+        (SETTINGS, False),
+        (SETTINGS, True),
+        (replace(SETTINGS, noise=partial(coloured, exponent=1.0, period=150, highest=20)), False),
+        (Settings(replace(CONTROL_LIMITS, rate=None), (0.3, 0.1, 0.3), samples=100), False),
     ],
-    ids=["run time", "few frequencies", "two pedals without rates"],
+    ids=["run time", "with a spread", "few frequencies", "two pedals without rates"],
 )
-def test_plans_are_those_of_the_reference(settings):
-    at = situation(layers(plane=(0.05, -0.1)), state=(-10.0, 1, 0.1, 4, 0, 0))
-    dynamics, model_state, codes = parts(at)
-    planner = DevicePlanner(
-        HostKernels(plan_text(dynamics, at.costs.table)), dynamics, settings, torch.Generator().manual_seed(3)
-    )
-    count = len(settings.deviation)
-    plan, previous, generator = torch.zeros(STEPS, count), torch.full((count,), 0.1), torch.Generator().manual_seed(3)
+def test_plans_are_those_of_the_reference(settings, careful):
+    at = replace(SLOPE, caution=caution(DYNAMICS)) if careful else SLOPE
+    device, count, generator = planner(at, settings), len(settings.deviation), torch.Generator().manual_seed(3)
+    plan, previous = torch.zeros(STEPS, count), torch.full((count,), 0.1)
     for _ in range(2):  # the second one starts from the first
-        costs = fused_costs(dynamics, model_state, at, CostWeights(), codes)
-        cost_of = with_pedal(costs) if count == 2 else costs
-        wanted = improve(plan, cost_of, drawn_on_device(settings), generator, previous=previous)
-        found = planner.improve(plan, model_state, at, CostWeights(), codes, previous=previous)
+        wanted = reference(settings, *given(at, plan), previous=previous, generator=generator)
+        found = device.improve(*given(at, plan), previous=previous)
         torch.testing.assert_close(found.controls, wanted.controls, atol=2e-3, rtol=0)
         torch.testing.assert_close(found.costs, wanted.costs, atol=1e-2, rtol=1e-3)
         assert abs(float(found.weights.sum()) - 1) < 1e-6
@@ -67,67 +77,36 @@ def test_plans_are_those_of_the_reference(settings):
 
 
 @needs_gcc
-def test_plans_that_count_their_spread_are_those_of_the_reference_and_checked_with_it():
-    at = situation(layers(plane=(0.05, -0.1)), state=(-10.0, 1, 0.1, 4, 0, 0))
-    dynamics, model_state, codes = parts(at)
-    careful = replace(at, caution=caution(dynamics))
-    kernels = HostKernels(plan_text(dynamics, at.costs.table, careful.caution))
-    planner = DevicePlanner(kernels, dynamics, SETTINGS, torch.Generator().manual_seed(3))
-    given = torch.zeros(STEPS, 2), model_state, careful, CostWeights(), codes
-    cost_of = with_pedal(fused_costs(dynamics, *given[1:]))
-    wanted = improve(given[0], cost_of, drawn_on_device(SETTINGS), torch.Generator().manual_seed(3))
-    found = planner.improve(*given)
-    torch.testing.assert_close(found.controls, wanted.controls, atol=2e-3, rtol=0)
-    torch.testing.assert_close(found.costs, wanted.costs, atol=1e-2, rtol=1e-3)
-    check_planner(planner, *given)
-    as_predicted = DevicePlanner(
-        HostKernels(plan_text(dynamics, at.costs.table)), dynamics, SETTINGS, torch.Generator()
-    )
-    with pytest.raises(PlanningError, match="costs on cpu differ from those on the CPU"):
-        check_planner(as_predicted, *given)
-
-
-@needs_gcc
 def test_a_larger_map_and_another_length_of_plan_get_new_buffers():
-    small = situation(layers(41), state=(-5.0, 1, 0.1, 4, 0, 0))
-    dynamics, model_state, _ = parts(small)
-    kernels = HostKernels(plan_text(dynamics, small.costs.table))
-    planner = DevicePlanner(kernels, dynamics, SETTINGS, torch.Generator().manual_seed(0))
-    for at, steps in ((small, 20), (situation(ground()), 20), (small, 30), (situation(ground()), 30)):
-        codes = encode_map(at.ground, dynamics.encoder)
-        alone = DevicePlanner(kernels, dynamics, SETTINGS, torch.Generator().manual_seed(1))
-        planner._generator.manual_seed(1)
-        plan = torch.zeros(steps, 2)
-        given = (plan, model_state, at, CostWeights(), codes)
-        assert torch.equal(planner.improve(*given).controls, alone.improve(*given).controls)
+    small, large = situation(layers(41), state=(-5.0, 1, 0.1, 4, 0, 0)), situation(ground())
+    used = planner(small)
+    for at, steps in ((small, 20), (large, 20), (small, 30), (large, 30)):
+        used._generator.manual_seed(1)
+        plans = [each.improve(*given(at, torch.zeros(steps, 2))).controls for each in (used, planner(small, seed=1))]
+        assert torch.equal(*plans)
 
 
 @needs_gcc
 def test_where_no_sample_is_finite_it_says_so():
     at = situation(layers(), state=(float("nan"), 0, 0, 5, 0, 0))
-    dynamics, model_state, codes = parts(at)
-    planner = DevicePlanner(HostKernels(plan_text(dynamics, at.costs.table)), dynamics, SETTINGS, torch.Generator())
     with pytest.raises(PlanningError, match="none of 128 sampled trajectories has a finite cost"):
-        planner.improve(torch.zeros(20, 2), model_state, at, CostWeights(), codes)
+        planner(at).improve(*given(at, torch.zeros(20, 2)))
 
 
 @needs_gcc
-def test_kernels_that_compute_something_else_are_refused():
-    at = situation(layers(plane=(0.05, -0.1)), state=(-10.0, 1, 0.1, 4, 0, 0))
-    dynamics, model_state, codes = parts(at)
-    given = torch.zeros(40, 2), model_state, at, CostWeights(), codes
-    text = plan_text(dynamics, at.costs.table)
-    check_planner(DevicePlanner(HostKernels(text), dynamics, SETTINGS, torch.Generator()), *given)
-    wrong = text.replace("0.02f*yaw_rate", "0.04f*yaw_rate")
-    assert wrong != text
-    planner = DevicePlanner(HostKernels(wrong), dynamics, SETTINGS, torch.Generator())
-    with pytest.raises(PlanningError, match="costs on cpu differ from those on the CPU"):
-        check_planner(planner, *given)
-    unlimited = text.replace("controls[t * items + i] = before = value;", "controls[t * items + i] = before = 9.0f;")
-    assert unlimited != text
-    planner = DevicePlanner(HostKernels(unlimited), dynamics, SETTINGS, torch.Generator())
-    with pytest.raises(PlanningError, match="limits of controls on cpu differ"):
-        check_planner(planner, *given)
+@pytest.mark.parametrize(
+    ("careful", "wrong", "said"),
+    [
+        (True, ("", ""), "costs on cpu differ from those on the CPU"),  # of kernels that know no spread
+        (False, ("0.02f*yaw_rate", "0.04f*yaw_rate"), "costs on cpu differ from those on the CPU"),
+        (False, ("+ i] = before = value;", "+ i] = before = 9.0f;"), "limits of controls on cpu differ"),
+    ],
+)
+def test_kernels_that_compute_something_else_are_refused(careful, wrong, said):
+    at = replace(SLOPE, caution=caution(DYNAMICS)) if careful else SLOPE
+    check_planner(planner(at), *given(at, torch.zeros(40, 2)))
+    with pytest.raises(PlanningError, match=said):
+        check_planner(planner(wrong=wrong), *given(at, torch.zeros(40, 2)))
 
 
 class Nothing:
@@ -138,8 +117,7 @@ class Nothing:
 
 
 def test_maps_that_are_large_in_different_ways_do_not_take_turns_with_new_buffers():
-    dynamics, _, _ = parts(situation(), "b")
-    planner = DevicePlanner(Nothing(), dynamics, SETTINGS, torch.Generator())
+    planner = DevicePlanner(Nothing(), DYNAMICS, SETTINGS, torch.Generator())
     wide, deep, wider = (tuple(torch.zeros(n) for n in sizes) for sizes in ((10, 3, 2), (2, 3, 10), (12, 3, 12)))
     given = torch.zeros(20, 2), torch.zeros(30)
     first, second = planner._buffers_for(*given, wide), planner._buffers_for(*given, deep)
@@ -150,14 +128,7 @@ def test_maps_that_are_large_in_different_ways_do_not_take_turns_with_new_buffer
     assert [power_of_two(count) for count in (0, 1, 2, 3, 1024, 1025)] == [1, 1, 2, 4, 1024, 2048]
 
 
-def with_graph(capture):
-    """A planner whose work `capture` repeats, and what its plans need."""
-    at = situation(layers(41), state=(-5.0, 1, 0.1, 4, 0, 0))
-    dynamics, model_state, codes = parts(at)
-    kernels = HostKernels(plan_text(dynamics, at.costs.table))
-    planner = DevicePlanner(kernels, dynamics, SETTINGS, torch.Generator().manual_seed(1), capture)
-    plain = DevicePlanner(kernels, dynamics, SETTINGS, torch.Generator().manual_seed(1))
-    return planner, plain, (torch.zeros(20, 2), model_state, at, CostWeights(), codes)
+SMALL = situation(layers(41), state=(-5.0, 1, 0.1, 4, 0, 0))
 
 
 @needs_gcc
@@ -168,8 +139,8 @@ def test_what_a_graph_reads_lives_as_long_as_the_graph():
         noises.append(weakref.ref(work.args[1]))
         return lambda: None
 
-    planner, _, given = with_graph(capture)
-    planner.load(*given)
+    planned = planner(SMALL, capture=capture)
+    planned.load(*given(SMALL, torch.zeros(20, 2)))
     gc.collect()
     assert noises[0]() is not None
 
@@ -185,9 +156,9 @@ def test_a_graph_is_checked_before_its_first_plan_and_changes_no_random_number()
 
         return replay
 
-    planner, plain, given = with_graph(capture)
+    planned, plain, arguments = planner(SMALL, capture=capture), planner(SMALL), given(SMALL, torch.zeros(20, 2))
     for turn in range(2):
-        assert torch.equal(planner.improve(*given).controls, plain.improve(*given).controls)
+        assert torch.equal(planned.improve(*arguments).controls, plain.improve(*arguments).controls)
         assert len(runs) == 3 + turn  # two to be checked, and one a plan
 
 
@@ -211,10 +182,10 @@ def test_a_graph_that_plans_otherwise_is_refused_each_time(wrong):
 
         return replay
 
-    planner, _, given = with_graph(capture)
+    planned = planner(SMALL, capture=capture)
     for _ in range(2):
         with pytest.raises(PlanningError, match="a CUDA graph on cpu plans differently from its kernels"):
-            planner.improve(*given)
+            planned.improve(*given(SMALL, torch.zeros(20, 2)))
 
 
 @needs_gcc
@@ -222,32 +193,34 @@ def test_where_there_is_no_graph_no_plan_is_made_without():
     def capture(work, generator):
         raise PlanningError("no CUDA graph of a plan")
 
-    planner, _, given = with_graph(capture)
+    planned = planner(SMALL, capture=capture)
     for _ in range(2):
         with pytest.raises(PlanningError, match="no CUDA graph"):
-            planner.improve(*given)
+            planned.improve(*given(SMALL, torch.zeros(20, 2)))
 
 
 @needs_gcc
 def test_cells_are_copied_again_only_where_a_map_is_another_or_has_changed(monkeypatch):
-    planner, _, given = with_graph(None)
-    copied = []
+    at, copied = situation(layers(41), state=(-5.0, 1, 0.1, 4, 0, 0)), []
+    planned, (plan, model_state, _, weights, codes) = planner(at), given(at, torch.zeros(20, 2))
     monkeypatch.setattr("offpiste.planning.device_planner.into", lambda room, part: copied.append(room.copy_(part)))
-    plan, model_state, at, weights, codes = given
 
-    def copies():
+    def copies(plan=plan):
         copied.clear()
-        planner.load(plan, model_state, at, weights, codes)
+        planned.load(plan, model_state, at, weights, codes)
         return len(copied) - 3  # plan, bounds and situation are always copied
+
+    def slope_is_there():
+        return torch.equal(planned._buffers.slope[: at.ground.slope.numel()], at.ground.slope.flatten())
 
     assert [copies(), copies()] == [3, 0]
     at.ground.slope.add_(0.1)
     assert copies() == 1
-    assert torch.equal(planner._buffers.slope[: at.ground.slope.numel()], at.ground.slope.flatten())
+    assert slope_is_there()
     codes = codes[0].clone(), codes[1]
     assert copies() == 1
-    planner.load(torch.zeros(30, 2), model_state, at, weights, codes)
-    assert torch.equal(planner._buffers.slope[: at.ground.slope.numel()], at.ground.slope.flatten())
+    copies(torch.zeros(30, 2))
+    assert slope_is_there()
     with torch.inference_mode():
         codes = codes[0].clone(), codes[1]
     copies()

@@ -21,7 +21,7 @@ from offpiste.training.run import Run, load_run, predict
 from offpiste.training.train import train
 from offpiste.uncertainty.calibration import calibrate, evaluate_kept_spreads, kept_or_fitted
 from offpiste.uncertainty.fit import FILE, SpreadSettings, load_spread, predict_with_spread, residuals_on_maps
-from offpiste.uncertainty.novelty import features_at_starts, load_memory_bank
+from offpiste.uncertainty.novelty import SIZE, features_at_starts, keep_memory_bank, load_memory_bank
 from offpiste.visualization.predicted_regions import view_regions
 
 QUICK = SpreadSettings(windows=64, steps=20, batch=32)
@@ -45,6 +45,11 @@ def run(trained: Path, tmp_path: Path) -> Run:
     return load_run(Path(shutil.copytree(trained, tmp_path / "dc")))
 
 
+def change_weights(run: Run) -> None:
+    weights, about = load_tensors(run.folder / WEIGHTS)
+    save_tensors(run.folder / WEIGHTS, {name: value + 1 for name, value in weights.items()}, **about)
+
+
 def test_a_spread_is_stored_with_its_run_and_belongs_to_its_weights(dataset: Dataset, run: Run) -> None:
     spread = kept_or_fitted(run, dataset, QUICK)
     windows = Windows(dataset, "test")
@@ -52,13 +57,25 @@ def test_a_spread_is_stored_with_its_run_and_belongs_to_its_weights(dataset: Dat
     again = load_spread(run)
     assert np.array_equal(spread(residuals.inputs), again(residuals.inputs))
     assert residuals.inputs.isfinite().all()
-    weights, about = load_tensors(run.folder / WEIGHTS)
-    save_tensors(run.folder / WEIGHTS, {name: value + 1 for name, value in weights.items()}, **about)
+    change_weights(run)
     with pytest.raises(RunError, match="belongs to other weights"):
         load_spread(run)
     (run.folder / FILE).unlink()
     with pytest.raises(RunError, match=r"has no spread.*offpiste calibrate"):
         load_spread(run)
+
+
+def test_a_memory_bank_is_stored_with_its_run_and_belongs_to_its_weights(dataset: Dataset, run: Run) -> None:
+    with pytest.raises(RunError, match=r"has no memory bank to detect novel ground.*offpiste calibrate"):
+        load_memory_bank(run)
+    bank = keep_memory_bank(run, dataset)
+    assert bank.kept.shape == (SIZE, FEATURES)
+    found = features_at_starts(dataset, "test", 50)
+    assert found.isfinite().all()
+    assert torch.equal(load_memory_bank(run).distance(found), bank.distance(found))
+    change_weights(run)
+    with pytest.raises(RunError, match="belongs to other weights"):
+        load_memory_bank(run)
 
 
 def test_predictions_have_regions_that_contain_the_vehicle(dataset: Dataset, run: Run) -> None:

@@ -14,19 +14,6 @@ def ratio(acceleration, angle=0.0):
     return terms.lateral_ratio(acceleration, math.sin(angle), math.cos(angle), G, 1.0, max)
 
 
-def test_path_and_controls():
-    assert terms.path_term(3.0, 0.0, 2.0) == 18
-    assert terms.path_term(3.0, 1.0, 2.0) == 32
-    assert terms.effort_term(-0.5, 4.0) == 1
-    assert terms.jerk_term(0.3, 0.1, 0.02, 0.5) == pytest.approx(0.5 * 10**2)
-
-
-def test_the_margin_is_that_across_the_course():
-    along, across = 2.0, 0.5
-    for yaw, away in (((1.0, 0.0), 0.5), ((0.0, 1.0), 2.0), ((-1.0, 0.0), 0.5), ((0.6, 0.8), 0.8 * 2 + 0.6 * 0.5)):
-        assert terms.position_margin(*yaw, 1.0, 0.0, along, across, max) == pytest.approx(away)
-
-
 def test_speed_is_that_along_the_course():
     def cost(yaw, vx, vy, direction, target, weight):
         return terms.speed_term(terms.speed_along(*yaw, vx, vy, *direction), target, weight)
