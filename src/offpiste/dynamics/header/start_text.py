@@ -1,4 +1,4 @@
-"""What a model remembers at the start, and codes of terrain features, as C: networks that run once, not each step."""
+"""C code of networks that run once and not at each step: recurrent states at the start, codes of terrain features."""
 
 from collections.abc import Sequence
 
@@ -34,7 +34,7 @@ def encoder_text(encoder: FeatureEncoder) -> str:
     """C code of `offpiste_encode`.
 
     Raises:
-        ValueError: one that `coverage.uncovered_encoder` gives a reason for.
+        ValueError: the encoder is not covered (`coverage.uncovered_encoder`).
     """
     if reason := uncovered_encoder(encoder):
         raise ValueError(f"no C code of this encoder: {reason}")

@@ -93,7 +93,7 @@ def warn_of_eager_steps(model: str, reason: str) -> None:
 
 
 def _not_exactly(module: object, kind: type) -> str:
-    """Return what else a module is than one of this very type, without hooks; empty if it is one."""
+    """Return how a module differs from an instance of exactly this type without hooks; empty if it does not."""
     methods = _methods(kind)
     if type(module) is not kind:
         return f"its {kind.__name__} is a {type(module).__name__}"
