@@ -16,6 +16,10 @@ UNLIMITED: Final = 1e9
 """Bound of an input without a range; finite, because the weights of a run are checked for infinities."""
 
 
+WIDTH: Final = 20
+"""Units of the hidden layers, and of the LSTM that reads the recent past."""
+
+
 class Cell(Protocol):
     """Module that steps a recurrent state with a layout known only to itself.
 
@@ -58,30 +62,19 @@ class Compensator(nn.Module):
 
     Args:
         cell: constructor of the recurrent cell from the numbers of inputs and hidden units.
+        hidden: number of hidden units of the cell.
     """
 
     cell: Cell
 
-    def __init__(
-        self,
-        inputs: int,
-        outputs: int,
-        *,
-        cell: Callable[[int, int], Cell] = LSTM,
-        hidden: int = 4,
-        width: int = 20,
-        init_hidden: int = 20,
-        init_width: int = 20,
-    ) -> None:
+    def __init__(self, inputs: int, outputs: int, *, cell: Callable[[int, int], Cell] = LSTM, hidden: int = 4) -> None:
         super().__init__()
         self.cell = cell(inputs, hidden)
         self.state_size = self.cell.state_size
-        last = nn.Linear(width, outputs)
-        self.output = nn.Sequential(nn.Linear(hidden + inputs, width), nn.Tanh(), last)
-        self.init_cell = nn.LSTM(inputs, init_hidden, batch_first=True)
-        self.init_output = nn.Sequential(
-            nn.Linear(init_hidden, init_width), nn.Tanh(), nn.Linear(init_width, self.state_size)
-        )
+        last = nn.Linear(WIDTH, outputs)
+        self.output = nn.Sequential(nn.Linear(hidden + inputs, WIDTH), nn.Tanh(), last)
+        self.init_cell = nn.LSTM(inputs, WIDTH, batch_first=True)
+        self.init_output = nn.Sequential(nn.Linear(WIDTH, WIDTH), nn.Tanh(), nn.Linear(WIDTH, self.state_size))
         self.mean: Tensor
         self.scale: Tensor
         self.low: Tensor

@@ -82,7 +82,6 @@ CONSTANTS: Final = (*Constants._fields, *LAG_CONSTANTS, *SWITCHES)
 LEARNED: Final = Constants._fields
 """The constants with gradients: the first of `CONSTANTS`."""
 
-CELL_ROWS: Final = ("input_gate", "forget_gate", "cell_gate", "output_gate", "memory", "next_hidden", "next_memory")
+_CELL: Final = ("input_gate", "forget_gate", "cell_gate", "output_gate", "memory", "next_hidden", "next_memory")
+CELL_ROW: Final = {name: row for row, name in enumerate(_CELL)}
 """Rows of the workspace of one unit of an LSTM."""
-
-CELL_ROW: Final = {name: row for row, name in enumerate(CELL_ROWS)}
