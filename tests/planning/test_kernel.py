@@ -274,16 +274,6 @@ def test_a_map_that_holds_codes_needs_no_encoder():
         coded_map(at.ground.features[0], encoder)
 
 
-def test_cells_are_encoded_as_one_by_one():
-    torch.manual_seed(0)
-    at, encoder = situation(ground()), Compressor(2).requires_grad_(False)
-    codes, _ = encode_map(at.ground, encoder)
-    features = at.ground.features[0]
-    for row, column in ((0, 0), (30, 31), (60, 60), *features.isnan().any(-1).nonzero()[:2].tolist()):
-        cell = features[row, column][None]
-        torch.testing.assert_close(codes[row, column], encoder(cell, cell.isfinite().all(-1))[0])
-
-
 @paths
 @pytest.mark.parametrize("ground", [layers(1, 20.0, plane=(0.1, 0.05)), layers(2, 20.0), UNKNOWN])
 def test_maps_of_hardly_any_cells_or_without_known_ones(ground, path):

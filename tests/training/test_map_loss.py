@@ -87,9 +87,10 @@ def test_ground_is_kept_along_the_recorded_path(dataset: Dataset, validation: Wi
 
 def test_processes_share_the_windows(dataset: Dataset, validation: Windows, monkeypatch: pytest.MonkeyPatch) -> None:
     dynamics = build("b", vehicle_of(dataset, QUICK), seed=0)
+    monkeypatch.setattr(module, "MAP_WINDOWS", 5)
 
     def of(group: Group) -> float:
-        measured = map_loss(validation, group, most=5)
+        measured = map_loss(validation, group)
         assert measured is not None
         return measured.of(dynamics, loss)
 

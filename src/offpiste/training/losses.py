@@ -147,12 +147,12 @@ class MapLoss:
         return batch, self.windows.maps.near(self._mine, places.cpu().numpy(), CORRIDOR)
 
 
-def map_loss(windows: Windows, group: Group, *, most: int = MAP_WINDOWS) -> MapLoss | None:
-    """Return the loss on `most` evenly spread windows of a part with a map snapshot; None if there is no snapshot."""
+def map_loss(windows: Windows, group: Group) -> MapLoss | None:
+    """Return the loss on evenly spread windows of a part with a map snapshot; None if there is no snapshot."""
     snapped = np.flatnonzero(windows.maps.snapped)
     if not len(snapped):
         return None
     if windows.device.type != "cpu":  # kernels that read maps run on the CPU
         windows = Windows(windows.dataset, windows.part, start=windows.start, horizon=windows.horizon)
-    chosen = np.unique(np.linspace(0, len(snapped) - 1, min(most, len(snapped))).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(snapped) - 1, min(MAP_WINDOWS, len(snapped))).round().astype(int))
     return MapLoss(windows, snapped[chosen], group)
