@@ -1,7 +1,7 @@
 """Costs of control sequences by the generated C kernels, on any device; the reference is `kernel.fused_costs`."""
 
 import math
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -25,21 +25,14 @@ Maps = tuple[Tensor, Tensor, Tensor]
 """Slopes, codes and layers of cells for `offpiste_roll_out`."""
 
 
-@runtime_checkable
-class Roll(Protocol):
-    """Costs [K] of control sequences [K, T, U]; a `CostOf` that also fills states [T, 6, K] if given."""
-
-    def __call__(self, controls: Float[Tensor, "K T U"], states: Float[Tensor, "T 6 K"] | None = None) -> Tensor:
-        """Roll out."""
-        ...
-
-
 @torch.no_grad()
 def costs_by_kernels(
     kernels: Kernels, dynamics: Dynamics, model_state: ModelState, situation: Situation, weights: CostWeights,
     codes: Codes,
-) -> Roll:  # fmt: skip
+) -> Callable[..., Tensor]:  # fmt: skip
     """Return a function that computes the costs of driving by the kernels of `plan_text`.
+
+    It is a `CostOf` that also fills states [T, 6, K], its second argument, if given.
 
     Args:
         kernels: of the model and the cost map's layers.
