@@ -115,7 +115,7 @@ def batch_for(dynamics: Dynamics, windows: Windows, batch: Batch) -> Batch:
 
 
 def encoded(dynamics: Dynamics, batch: Batch) -> Batch:
-    """Return a batch with the recorded ground's features encoded by a model that reads them, each cell once."""
+    """Return a batch whose recorded ground is encoded, each cell once, if the model reads features."""
     encoder = dynamics.encoder
     if encoder is None:
         return batch

@@ -1,4 +1,4 @@
-"""The networks of a model as the header for GPUs and exports has them: sizes in the text, and weights in order."""
+"""Networks of a model for the header of GPUs and exports: sizes in its text, weights in the order of its structs."""
 
 import re
 from collections.abc import Mapping

@@ -40,7 +40,7 @@ class ModelNetwork(NamedTuple):
         weights: its matrices, differentiable.
         inputs: rows of the workspace that it sees; those behind `layout.ROWS` are codes of the wheels.
         outputs: how many, into rows from `first_output` on.
-        terms: whether what codes add comes from elsewhere (`terms_of_codes`) instead of from inputs.
+        terms: whether the contribution of codes is given (`terms_of_codes`) instead of computed from inputs.
     """
 
     name: str
@@ -108,10 +108,10 @@ def widened(matrix: Float[Tensor, "I O"]) -> Float[Tensor, "I N"]:
 
 
 def kernel_parts(dynamics: Dynamics) -> tuple[KernelParts, Actuators]:
-    """Return what compiled code steps of a model.
+    """Return the parts of a model that compiled code steps.
 
     Raises:
-        ValueError: it cannot step it.
+        ValueError: compiled code cannot step the model.
     """
     parts = dynamics.kernel_parts()
     if parts is None or dynamics.actuators is None:
@@ -149,7 +149,7 @@ def residual_networks(actuators: Actuators) -> tuple[ModelNetwork, ...]:
 
 
 def compensator_inputs(vehicle: Vehicle) -> tuple[int, ...]:
-    """Return the rows of the workspace that the network sees which corrects the forces; codes follow them."""
+    """Return the rows of the workspace that the force-correcting network reads; codes follow them."""
     seen = [
         *layout.STEPPED[3:6],
         *(name for name in ACTUATORS if name in vehicle.actuators),
@@ -162,7 +162,7 @@ def compensator_inputs(vehicle: Vehicle) -> tuple[int, ...]:
 
 
 def residual_inputs(one: Lagging) -> tuple[int, ...]:
-    """Return the rows of the workspace that an actuator's residual network sees."""
+    """Return the rows of the workspace that an actuator's residual network reads."""
     command = layout.CONTROLS[layout.COMMANDS.index(one.actuator.follows)]
     return tuple(layout.ROW[row] for row in (*one.columns, command, "vx"))
 
@@ -208,5 +208,5 @@ def units(dynamics: Dynamics) -> int:
 
 
 def absent_actuators(vehicle: Vehicle) -> list[int]:
-    """Return the numbers of the state that no log gave."""
+    """Return the indices in `layout.STEPPED` of actuators that the log lacks."""
     return [layout.STEPPED.index(name) for name in ACTUATORS if name not in vehicle.actuators]
