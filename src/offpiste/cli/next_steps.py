@@ -28,13 +28,11 @@ def next_line(*words: object, first: Sequence[str] = ()) -> str:
 
 def after_inspection(options: Any, log: str, inspection: "Inspection") -> str:
     """Return the command that improves the rig of a log, or extracts the log."""
-    from offpiste.inspection.draft_values import DRAFTED
-    from offpiste.inspection.inspect import UNDRAFTED
     from offpiste.inspection.missing import BY_HAND
     from offpiste.rig.rig import rig_text
 
     rig = str(options.write_rig) if options.write_rig else options.rig
-    undrafted = [finding.remedy for finding in inspection.findings if finding.evidence == UNDRAFTED]
+    undrafted = [finding.remedy for finding in inspection.findings if finding.code == "undrafted"]
     if undrafted and BY_HAND in undrafted[0]:
         own = _another("my.toml")
         by_hand = f"write {own} by hand, with the fields of a position and a heading (docs/rig.md)"
@@ -57,7 +55,7 @@ def after_inspection(options: Any, log: str, inspection: "Inspection") -> str:
         if not rig.endswith(".toml"):  # a preset, of another vehicle
             return next_line("inspect", log, "--write-rig", _another(rig))
         return next_line(*again, first=[f"correct {rig} as said above"])
-    before = [vehicle] if any(finding.what == DRAFTED for finding in inspection.findings) else []
+    before = [vehicle] if any(finding.code == "drafted_vehicle" for finding in inspection.findings) else []
     if any(finding.severity == "warning" for finding in inspection.findings):
         before.append("fix what the warnings say, or leave it where the log has no better")
     return after_logs([log], rig, first=before)

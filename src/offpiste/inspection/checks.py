@@ -19,7 +19,7 @@ from offpiste.inspection.pedals import check_controls, check_pedals
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.inspection.response import pedal_fits, steering_fits
 from offpiste.inspection.samples import channel_signals, check_ranges, check_signals, check_valid, other_signals
-from offpiste.inspection.stamps import MISSING, check_on_change, check_senders, check_stamps
+from offpiste.inspection.stamps import check_on_change, check_senders, check_stamps
 from offpiste.inspection.steering import check_steering
 from offpiste.inspection.velocity import check_linear_velocity, check_turn_rate, check_wheel_speed
 from offpiste.logs.drive import Drive
@@ -100,7 +100,7 @@ def _check_stamps(topics: Topics) -> list[Finding]:
     channels = topics.rig.channels if topics.rig else {}
     alone = check_stamps(inspected, clock, used=used, silent=silent, channels=channels)
     several = {finding.where for finding in topics.senders}
-    findings = changing + [f for f in alone if f.what != MISSING or f.where not in several]
+    findings = changing + [f for f in alone if f.code != "losses" or f.where not in several]
     findings += check_steps(inspected, used=used, set_back=topics.set_back)
     if topics.rig is not None:
         findings += check_rates(inspected, topics.rig.channels["position"].topic, used=used)

@@ -6,7 +6,7 @@ import numpy as np
 
 from offpiste.inspection.commanded_motion import commanded_curvature
 from offpiste.inspection.driven_path import DrivenPath
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, found
 from offpiste.inspection.response import SteeringFit
 from offpiste.inspection.steering_scale import MAX_STEERS
 from offpiste.inspection.usual_ranges import RANGES
@@ -20,7 +20,6 @@ SMALL_CAR: Final = RANGES["wheels"][0][0] - RANGES["wheels"][2][0]
 """Wheelbase of a small car [m]; masses are scaled with its cube."""
 USUAL_STEER: Final = 0.5
 """Default of `max_steer` without a measured angle [rad]."""
-DRAFTED: Final = "mass and wheel positions are still those of the draft"
 """Finding reported while `vehicle.source` still names the draft or is empty."""
 _UNITS: Final = ("cm", "mm", "ft")
 """Units commonly mistaken for metres."""
@@ -123,9 +122,8 @@ def check_draft_values(rig: Rig) -> list[Finding]:
     left = _left(vehicle)
     if not left:
         return []
-    evidence = f"{' and '.join(left)}; vehicle.source: {vehicle.source or 'none'}"
-    remedy = "measure them, correct [vehicle], and say in vehicle.source where the numbers come from"
-    return [Finding("note", "vehicle", DRAFTED, evidence, remedy, 0.5)]
+    about = {"left": " and ".join(left), "source": vehicle.source or "none"}
+    return [found("drafted_vehicle", "vehicle", about)]
 
 
 def check_size(rig: Rig) -> list[Finding]:
@@ -134,17 +132,14 @@ def check_size(rig: Rig) -> list[Finding]:
     least, most = RANGES["densities"]
     if _left(vehicle) or least < vehicle.mass / vehicle.wheelbase**3 < most:
         return []
-    evidence = f"a wheelbase of {vehicle.wheelbase:.3g} m with {vehicle.mass:.3g} kg"
-    remedy, cures = "vehicle.wheel_positions are in m, vehicle.mass is in kg", []
+    about = {"wheelbase": vehicle.wheelbase, "mass": vehicle.mass}
     for unit in _UNITS:
         factor = unit_factor("position", unit)
         if least < vehicle.mass / (factor * vehicle.wheelbase) ** 3 < most:
             places = [[rounded(factor * x), rounded(factor * y)] for x, y in vehicle.wheel_positions]
-            cures.append((Edit("vehicle.wheel_positions", places),))
-            remedy += f"; if these are in {unit}: {cures[-1][0]}"
-            break
-    what = "is too light or too heavy for its size"
-    return [Finding("warning", "vehicle", what, evidence, remedy, 1.0, tuple(cures))]
+            cure = (Edit("vehicle.wheel_positions", places),)
+            return [found("vehicle_size", "vehicle", {**about, "unit": unit}, cure)]
+    return [found("vehicle_size", "vehicle", about)]
 
 
 def _left(vehicle: Vehicle) -> list[str]:

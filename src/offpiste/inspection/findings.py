@@ -15,10 +15,6 @@ Cure = tuple[Edit, ...]
 """Rig edits applied together."""
 MESSAGES: Final = packaged_table("offpiste.inspection", "messages.toml")
 """Descriptions, evidence and remedies of findings, by code (see messages.toml)."""
-EXCHANGED: Final[str] = MESSAGES["exchanged"]["what"]
-"""Description of positions that the rig reads in the wrong order."""
-TIPPED: Final[str] = MESSAGES["tipped"]["what"]
-"""Description of a position whose z is not up."""
 _NAMED = 4
 """Maximum number of fields named by a finding."""
 _ORDER: dict[Severity, int] = {"fatal": 0, "warning": 1, "note": 2}
@@ -38,6 +34,7 @@ class Finding:
         cures: candidate fixes as rig edits, most likely first; `remedies` applies and checks them.
         sure: True if independent of other findings; otherwise it is a warning only if one of its fixes is confirmed.
         also: other findings of the same cause, removed by the same fix.
+        code: name of the message (messages.toml).
     """
 
     severity: Severity
@@ -49,6 +46,7 @@ class Finding:
     cures: tuple[Cure, ...] = ()
     sure: bool = True
     also: tuple[str, ...] = ()
+    code: str = ""
 
 
 def found(
@@ -79,15 +77,21 @@ def found(
     values = {"where": where, **values, "score": score, "fix": ", ".join(map(str, known[0])) if known else ""}
     what, evidence, how = (text.format(**values) for text in (message["what"], message["evidence"], advice))
     by_score: Severity = "warning" if score > message.get("warning_above", inf) else "note"
-    return Finding(severity or message.get("severity", by_score), where, what, evidence, how, score, known, sure)
+    return Finding(
+        severity or message.get("severity", by_score), where, what, evidence, how, score, known, sure, code=code
+    )
 
 
 def unreadable(
-    where: str, error: OffpisteError, evidence: str = "on reading it", *, severity: Severity = "fatal"
+    where: str,
+    error: OffpisteError,
+    when: str = "on reading it",
+    *,
+    severity: Severity = "fatal",
+    code: str = "unreadable",
 ) -> Finding:
     """Return a finding that states an error."""
-    about = {"what": error.what, "evidence": evidence, "how": error.how}
-    return found("unreadable", where, about, severity=severity)
+    return found(code, where, {"what": error.what, "when": when, "how": error.how}, severity=severity)
 
 
 def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:

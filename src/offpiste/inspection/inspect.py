@@ -23,9 +23,6 @@ from offpiste.rig.channels import Clock
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig, parse_rig
 
-UNDRAFTED = "by names and types of topics"
-"""Evidence for the failure to draft a rig."""
-
 
 @dataclass(frozen=True)
 class TopicRow:
@@ -160,4 +157,4 @@ def _drafted(log: Log, namespace: str) -> tuple[Rig | None, list[Finding]]:
     try:
         return parse_rig(draft_rig(log, namespace), where="the drafted rig"), []
     except OffpisteError as error:
-        return None, [unreadable("log", error, UNDRAFTED)]
+        return None, [unreadable("log", error, "by names and types of topics", code="undrafted")]

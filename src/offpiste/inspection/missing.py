@@ -9,7 +9,7 @@ import numpy as np
 from offpiste.core.channels import CONTROLS
 from offpiste.core.errors import LogError, OffpisteError
 from offpiste.inspection.draft_pose import varies
-from offpiste.inspection.findings import Finding
+from offpiste.inspection.findings import Finding, found
 from offpiste.inspection.naming import Guess, field_values, guess_channels, is_measured_topic, of_one_side
 from offpiste.inspection.recorded_log import Recorded
 from offpiste.logs.log import Log
@@ -41,37 +41,32 @@ def check_missing(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
         if r is not None and not missing:
             findings += [] if pair is None or not pair.is_inverse else [_inverse(name, pair)]
             continue
+        cures = _cures(name, source, recorded, rig)
         if r is None:
-            what = f"{topic_in_words(source.topic)} is not in the log, or holds no numbers"
             there = sorted(recorded, key=lambda other: pair is not None and frame_pair(other) is None)
+            about = {"topic": topic_in_words(source.topic), "listed": _listed(there)}
+            findings.append(found("missing_topic", name, about, *cures))
         else:
             what = r.topic.unread.get(missing[0]) or f"its topic has no field '{missing[0]}'"
-            there = list(map(r.topic.in_words, r.topic.fields))
-        cures = tuple(_cures(name, source, recorded, rig))
-        evidence = _listed(there)
-        remedy = ", ".join(map(str, cures[0])) if cures else f"name where it is recorded in [channels.{name}]"
-        findings.append(Finding("fatal", name, what, evidence, remedy, 1.0, cures))
+            about = {"what": what, "listed": _listed(list(map(r.topic.in_words, r.topic.fields)))}
+            findings.append(found("missing_field", name, about, *cures))
     return findings
 
 
 def _inverse(name: str, pair: FramePair) -> Finding:
     right = FramePair(pair.topic, parent=pair.child, child=pair.parent)
-    how = f"name {right.name} where the log has it, or record nav_msgs/Odometry"
-    evidence = f"child {pair.child} in {pair.parent}"
-    return Finding("fatal", name, "its transform has the pose the other way round", evidence, how, 1.0)
+    return found("inverse_pose", name, {"child": pair.child, "parent": pair.parent, "right": right.name})
 
 
 def _nothing(recorded: dict[str, Recorded], rig: Rig) -> Finding | None:
     """Return a single finding on a log that has no topic of the rig, not even under a similar name."""
     if not recorded:
-        how = "record it again, or repair it if it was cut off"
-        return Finding("fatal", "log", "holds no numbers", "no topic has samples", how, 1.0)
+        return found("no_numbers", "log", {})
     topics = {source.topic for source in rig.channels.values()}
     if any(get_close_matches(topic, recorded, 1) for topic in topics):
         return None
-    how = "give the rig of this log's vehicle, or let `inspect --write-rig` write a first one"
     names = list(recorded) if any(recorded) else [field for r in recorded.values() for field in r.fields]
-    return Finding("fatal", "log", "has none of the topics that the rig reads", _listed(names), how, 1.0)
+    return found("other_log", "log", {"listed": _listed(names)})
 
 
 def _listed(there: Sequence[str]) -> str:
@@ -104,9 +99,8 @@ def check_same_pedals(rig: Rig) -> list[Finding]:
     throttle, brake = rig.channels.get("throttle"), rig.channels.get("brake")
     if throttle is None or brake is None or _as_read(throttle) != _as_read(brake):
         return []
-    evidence = f"both read {', '.join(throttle.fields)} of {topic_in_words(throttle.topic)}, with the same sign"
-    how = "name where each is recorded; of one pedal that drives and brakes, the brake has the other sign and clips"
-    return [Finding("warning", "throttle, brake", "read the same", evidence, how, 1.0)]
+    about = {"fields": ", ".join(throttle.fields), "topic": topic_in_words(throttle.topic)}
+    return [found("same_pedals", "throttle, brake", about)]
 
 
 def _as_read(source: ChannelSource) -> tuple[object, ...]:
@@ -120,10 +114,8 @@ def check_unread(recorded: dict[str, Recorded], rig: Rig) -> list[Finding]:
     there = list(_unread(recorded, rig, lacking)) if lacking else []
     if not there:
         return []
-    names = ", ".join(lacking)
-    remedy = f"if one of them is it, give [channels.{lacking[0]}] its topic and fields, and take it out of `absent`"
-    what = "is not read" if len(lacking) == 1 else "are not read"
-    return [Finding("note", names, what, f"nothing reads {'; '.join(there)}", remedy, 0.3)]
+    about = {"verb": "is" if len(lacking) == 1 else "are", "unread": "; ".join(there), "first": lacking[0]}
+    return [found("unread_control", ", ".join(lacking), about)]
 
 
 def _unread(recorded: dict[str, Recorded], rig: Rig, lacking: Sequence[str]) -> Iterator[str]:

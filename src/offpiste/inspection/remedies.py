@@ -15,7 +15,7 @@ import numpy as np
 
 from offpiste.core.errors import OffpisteError
 from offpiste.inspection.course import against_names
-from offpiste.inspection.findings import EXCHANGED, TIPPED, Cure, Finding, found, ranked
+from offpiste.inspection.findings import Cure, Finding, found, ranked
 from offpiste.logs.channel import turning_sign
 from offpiste.rig.channels import GEOGRAPHIC, unit_factor
 from offpiste.rig.edits import Edit, edited, rounded
@@ -94,7 +94,7 @@ def _best_cure(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[Cur
     if not serious:
         return None
     best, least = None, badness(left) - _LEAST_GAIN
-    seen = {cure for finding in left if finding.what == EXCHANGED for cure in finding.cures}
+    seen = {cure for finding in left if finding.code == "exchanged" for cure in finding.cures}
     for cure in _distinct(serious, rig):
         try:
             after = examine(edited(rig, cure))
@@ -138,7 +138,7 @@ def _first_of_two(left: Sequence[Finding], rig: Rig, examine: Examine) -> tuple[
 def _hides_motion(before: Sequence[Finding], after: Sequence[Finding]) -> bool:
     """Return whether a fix breaks the pose, which removes findings by preventing comparisons with the motion."""
     now, then = ({f.where for f in each if f.severity == "fatal"} <= {"controls"} for each in (before, after))
-    upright, on_its_side = (TIPPED not in {f.what for f in before}), (TIPPED in {f.what for f in after})
+    upright, on_its_side = ("tipped" not in {f.code for f in before}), ("tipped" in {f.code for f in after})
     return (now and not then) or (upright and on_its_side)
 
 

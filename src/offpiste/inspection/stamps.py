@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from offpiste.core.channels import control_of
 from offpiste.inspection.clocks import RECEIVE, other_origin
-from offpiste.inspection.findings import MESSAGES, Cure, Finding, found, merged
+from offpiste.inspection.findings import Cure, Finding, found, merged
 from offpiste.inspection.recorded_log import Recorded, beginning, rising
 from offpiste.logs.channel import LEAST_KEPT
 from offpiste.logs.log import Samples
@@ -18,7 +18,6 @@ from offpiste.rig.edits import Edit
 from offpiste.rig.labels import unit_by_rate
 from offpiste.rig.rig import Rig
 
-MISSING: Final = MESSAGES["losses"]["what"]
 _SINGLE: Final = 0.25
 """Minimum share of single-period intervals; up to three in four samples may be lost at random."""
 _LATE: Final = 2.0
