@@ -83,7 +83,8 @@ def stack_maps(maps: Sequence[TerrainMap], *, device: torch.device | str = "cpu"
     for number, terrain in enumerate(maps):
         (rows, columns), rise = terrain.elevation.shape, terrain.rise
         if rise is None:
-            rise = np.stack(np.gradient(terrain.elevation.astype(np.float64), terrain.resolution)[::-1], axis=-1)
+            rise_y, rise_x = np.gradient(terrain.elevation.astype(np.float64), terrain.resolution)
+            rise = np.stack((rise_x, rise_y), axis=-1)
         slope[number, :rows, :columns] = rise
         features[number, :rows, :columns] = terrain.features
     origin = torch.as_tensor(np.stack([m.origin for m in maps]), dtype=torch.float64)
