@@ -47,6 +47,15 @@ def test_the_axes_of_a_joystick_are_found() -> None:
     }
 
 
+def test_a_field_that_is_one_control_is_no_rival_of_another() -> None:
+    """Of two pedals, the released throttle slows the vehicle more than weak brakes do."""
+    log = drive_log(seconds=60, braking=1.0)
+    time, pedals = log.data["pedals"]
+    joy = {"axes[0]": pedals["throttle"], "axes[1]": pedals["brake"]}
+    found = find_controls(MemoryLog({"odom": log.data["odom"], "joy": (time, joy)}), posed())
+    assert {name: guess.fields for name, guess in found.items()} == {"throttle": ("axes[0]",), "brake": ("axes[1]",)}
+
+
 def _radio(seconds: float = 60.0) -> MemoryLog:
     """The drive by radio: one stick drives above its middle and brakes below, and what comes in goes out, too."""
     log = drive_log(seconds=seconds)
