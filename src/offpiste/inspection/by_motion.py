@@ -143,19 +143,17 @@ def find_controls(log: Log, rig: Rig) -> dict[str, Guess]:
         if name == "steer" and read[name]:
             best = max(read[name], key=lambda one: one.score)
             steers = {best.guess.topic} if best.score >= _FOLLOWS[name] else set()
-    # Command and angle of the steering both look like one; without the second, it would be a pedal.
-    wanted = [*lacking, *(["steer"] if "steer" in lacking else [])]
-    scores = np.zeros((len(wanted), len(fields)))
-    for row, name in enumerate(wanted):
+    scores = np.zeros((len(lacking), len(fields)))
+    for row, name in enumerate(lacking):
         for one in read[name]:
             scores[row, fields.index(one.guess)] = one.score if one.score >= _FOLLOWS[name] else 0.0
     pairs = zip(*linear_sum_assignment(scores, maximize=True), strict=True)
-    chosen = [(wanted[row], fields[k], scores[row, k]) for row, k in pairs if scores[row, k] > 0]
+    chosen = {lacking[row]: (fields[k], scores[row, k]) for row, k in pairs if scores[row, k] > 0}
     found: dict[str, Guess] = {}
-    for name in dict.fromkeys(name for name, _, _ in chosen):
-        others = [guess for other, guess, _ in chosen if other != name]
-        least = max(score for other, _, score in chosen if other == name) - _CLEARER
-        near = _without_copies([one for one in read[name] if one.score > least and one.guess not in others])
+    for name, (_, score) in chosen.items():
+        others = [guess for other, (guess, _) in chosen.items() if other != name]
+        rivals = [one for one in read[name] if one.score > score - _CLEARER and one.guess not in others]
+        near = _without_copies(rivals)
         names = [name]
         if name == "steer" and len(near) == 2:
             near, names = _in_order(near), ["steer", "steer_angle"]
