@@ -5,6 +5,8 @@ import re
 from functools import cache
 from pathlib import Path
 
+from offpiste.inspection.findings import MESSAGES
+
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "troubleshooting.md").read_text("utf-8")
 QUOTED = [message for line in re.findall(r"^#### (.*)$", PAGE, re.MULTILINE) for message in line.split("`")[1::2]]
@@ -27,7 +29,8 @@ def strings_of_the_source() -> frozenset[str]:
         tree = ast.parse(file.read_text("utf-8"))
         stated = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
         found |= {text_of(node) for node in ast.walk(tree) if isinstance(node, ast.expr) and id(node) not in stated}
-    return frozenset(found)
+    texts = (str(text) for message in MESSAGES.values() for text in message.values())
+    return frozenset(found | {re.sub("{[^}]*}", "…", text) for text in texts})
 
 
 def occurs(message: str) -> bool:

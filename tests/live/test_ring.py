@@ -63,7 +63,7 @@ def test_a_damaged_message_is_not_read(ring):
 
 def test_another_file_and_missing_memory_are_refused(tmp_path, monkeypatch):
     (tmp_path / "ring").write_bytes(b"x" * 100)
-    with pytest.raises(LiveError, match="no shared memory of offpiste"):
+    with pytest.raises(LiveError, match="not shared memory of offpiste"):
         Ring(tmp_path / "ring")
     with pytest.raises(LiveError, match="no shared memory"):
         Ring(tmp_path / "nothing")

@@ -114,7 +114,7 @@ def test_a_definition_is_read_from_a_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "what"),
     [
-        ("my_msgs/msg/Wheels.msg", "float32 [", "no message definition"),
+        ("my_msgs/msg/Wheels.msg", "float32 [", "not a message definition"),
         ("my_msgs/msg/Wheels.msg", "Other other", "Other"),
         ("Wheels.msg", "float32 x", "message type"),
     ],
