@@ -85,7 +85,7 @@ def test_ghosts_are_counted(drive):
         ({"drift": 0.08, "drift_pairs": 3}, False, []),
         ({"drift": 0.04}, False, [("note", "drift in height")]),
         ({"ghosts": 5e-4}, False, [("note", "see ghosts below the ground")]),
-        ({"moving": 0.03}, False, [("note", "see much that moves")]),
+        ({"moving": 0.03}, False, [("note", "see many moving objects")]),
         ({"drift": np.nan, "drift_error": np.nan, "moving": np.nan, "ghosts": np.nan}, False, []),
     ],
 )

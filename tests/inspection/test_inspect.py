@@ -289,7 +289,7 @@ NO_PEDALS = edited(rig(), [Edit("channels.throttle", None), Edit("channels.brake
 @pytest.mark.parametrize(
     ("log", "given", "severity", "what"),
     [
-        (CLEAN.part({"odom": slice(0, 150)}), rig(), "fatal", "is driven for too short a time"),
+        (CLEAN.part({"odom": slice(0, 150)}), rig(), "fatal", "drives for too short a time"),
         (CLEAN.change("odom", "x y", np.zeros_like), rig(), "fatal", "hardly moves"),
         (MemoryLog({"odom": CLEAN.data["odom"]}), None, "fatal", "there is no control channel"),
         (

@@ -125,7 +125,7 @@ def test_a_world_of_north_east_down_that_is_read_as_up_is_said_to_be() -> None:
     assert rig.motion.axes == "ned"
     up = edited(rig, [Edit("motion.axes", None)])
     (finding,) = (f for f in inspect_log(log, up).findings if f.where == "position" and f.severity == "warning")
-    assert finding.what == "its third field is named down, and is read as up"
+    assert finding.what == "its third field is named down but read as up"
     assert edited(up, finding.cures[0]) == rig
 
 

@@ -65,7 +65,7 @@ def test_positions_that_run_away_change_their_velocity_in_an_instant(speed: floa
         return x
 
     _, complaints = _inspected(CLEAN.change("odom", "x", run_away))
-    (finding,) = (f for f in complaints if f.what == "changes its velocity in an instant")
+    (finding,) = (f for f in complaints if f.what == "changes velocity abruptly")
     assert float(finding.evidence.split()[1]) == pytest.approx(48.0, abs=0.6)
     assert {f.what for f in complaints if f.severity != "note"} == {finding.what}  # what follows from it is not said
 
@@ -110,7 +110,7 @@ def test_a_place_that_hangs_while_the_vehicle_drives_on_is_found(heading: bool) 
         log = log.change("odom", field, lambda values: np.concatenate(
             (values[:first], np.full(end - first, values[first]), values[end:])))  # fmt: skip
     found = {(finding.where, finding.what): finding for finding in inspect_log(log, rig()).findings}
-    finding = found["position", "holds one place while the vehicle drives on"]
+    finding = found["position", "stays at one place while the vehicle drives on"]
     assert f"for 8.0 s from {time[first + 1] - time[0]:.2f} s on" in finding.evidence
     assert ("position", "jumps") not in found
 
@@ -147,7 +147,7 @@ def test_places_that_come_too_seldom_to_differentiate_get_a_wider_window() -> No
     rows = np.arange(0, len(TIME), EVERY)
     log = _posed(TIME[rows], rows)
     (finding,) = (f for f in inspect_log(log, PLACE_ONLY).findings if f.severity == "fatal")
-    assert finding.what == "comes too seldom to differentiate"
+    assert finding.what == "is sampled too rarely to differentiate"
     assert extract_rows(drive_from_log(log, edited(PLACE_ONLY, finding.cures[0]))).valid.mean() > 0.9
     with pytest.raises(LogError, match="of 'state"):
         extract_rows(drive_from_log(log, PLACE_ONLY))
@@ -210,7 +210,7 @@ def test_a_velocity_of_north_east_down_is_read_in_their_order(frame: str) -> Non
     log = MemoryLog({**DRIVE.data, "odom": (time, odom | north_east_down)})
     read = edited(rig(), [Edit("channels.linear_velocity.frame", frame)])
     (found,) = [f for f in inspect_log(log, read).findings if f.where == "linear_velocity"]
-    assert found.what == "is north, east, down, and is read as east, north, up"
+    assert found.what == "is in north, east, down but read as east, north, up"
     cured = edited(read, found.cures[0])
     assert (cured.channels["linear_velocity"].fields, cured.channels["linear_velocity"].frame) == (
         ("vy", "vx"),

@@ -49,16 +49,16 @@ def checked(parameters=(0, 0, 0, 0), sigma=(0.1, 0.1, 0.1, 1.0), *, sensor=LIDAR
 @pytest.mark.parametrize(
     ("parameters", "sigma", "found"),
     [
-        ((0, 1.0, 0, 0), (0.1, 0.1, 0.1, 1), ["warning looks 1.0 degrees away from where its mounting says"]),
+        ((0, 1.0, 0, 0), (0.1, 0.1, 0.1, 1), ["warning looks 1.0 degrees away from its stated mounting"]),
         ((0, 1.0, 0, 0), (0.1, 0.3, 0.1, 1), []),  # not surely more than half a degree
         ((0, 2.0, 0, 0), (0.1, 0.6, 0.1, 1), ["note was checked in part"]),  # not known
         # What is not known hides nothing that is.
         (
             (4.0, 1.0, 0, 0),
             (2.0, 0.1, 0.1, 1),
-            ["warning looks 1.0 degrees away from where its mounting says", "note was checked in part"],
+            ["warning looks 1.0 degrees away from its stated mounting", "note was checked in part"],
         ),
-        ((0.6, 0.6, 0.6, 0), (0.1, 0.1, 0.1, 1), ["warning looks 1.0 degrees away from where its mounting says"]),
+        ((0.6, 0.6, 0.6, 0), (0.1, 0.1, 0.1, 1), ["warning looks 1.0 degrees away from its stated mounting"]),
         ((0, 0, 0, 30), (0.1, 0.1, 0.1, 1), ["warning is stamped 30 ms too late, against the poses"]),
         ((0, 0, 0, -30), (0.1, 0.1, 0.1, 1), ["warning is stamped 30 ms too early, against the poses"]),
         ((0, 0, 0, 30), (0.1, 0.1, 0.1, 7), []),

@@ -25,7 +25,7 @@ POSE = {
     "angular_velocity": [f"twist.twist.angular.{axis}" for axis in "xyz"],
 }
 RECEIVE, SORT = (Edit("clock.stamps", "receive"),), (Edit("clock.sort", True),)
-ORIGINS = "has another clock than /odom: they count from different origins"
+ORIGINS = "uses another clock than /odom: their origins differ"
 STEP = "all clocks step back by 1.50 s"
 ALTERNATE = "has several senders: its values alternate between two series"
 

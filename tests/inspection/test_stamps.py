@@ -67,7 +67,7 @@ def test_stamps_that_change_more_seldom_than_the_rows_are_one_finding() -> None:
     copies = {name: column[held] for name, column in columns.items()}
     (finding,) = (f for f in inspect_log(MemoryLog({"": (time[held], copies)})).findings if f.what == "stamps repeat")
     assert (finding.severity, finding.remedy) == (
-        "note", "no action needed: they are copies of the sample before, and one of each is kept",
+        "note", "no action needed: they are copies of the previous sample; one of each is kept",
     )  # fmt: skip
 
 

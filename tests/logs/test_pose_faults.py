@@ -62,7 +62,7 @@ def test_a_held_position_is_dropped_until_it_changes(end: int, noted: str, found
     assert inside.any() == (end < len(TIME)), "rows end with the last known position"
     assert not rows.valid[inside].any()
     (finding,) = check_faults(drive)
-    assert finding.what == "holds one place while the vehicle drives on"
+    assert finding.what == "stays at one place while the vehicle drives on"
     assert found in finding.evidence
 
 

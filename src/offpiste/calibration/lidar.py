@@ -152,7 +152,7 @@ def estimate_lidar(lidar: Lidar, scans: Sequence[Scan], poses: Poses) -> tuple[F
     if misfit is None:
         return _FEW_PLANES
     if misfit.scale > WORLD:
-        return f"its scans show no common world with any mounting ({misfit.scale:.2f} m apart)"
+        return f"its scans do not fit together with any mounting ({misfit.scale:.2f} m apart)"
     apart = [m.scale for s, m in others if _between(s, start) > np.deg2rad(10)]
     if min(apart, default=np.inf) < _RIVAL * misfit.scale:
         return "another heading fits its scans as well; its surroundings look alike all around"

@@ -44,7 +44,7 @@ from offpiste.rig.rig import GUESSED, Rig, parse_rig
 _MISSING = {
     "steer": "# MISSING: steering: {why}; no model can do without. Add [channels.steer] and take steer out of `absent`."
     " {candidates}\n",
-    "throttle": "# MISSING: throttle: {why}; without it no model can foresee the speed. Add [channels.throttle] and"
+    "throttle": "# MISSING: throttle: {why}; without it no model can predict the speed. Add [channels.throttle] and"
     " take throttle out of `absent`.\n",
 }
 _HEADER = """\

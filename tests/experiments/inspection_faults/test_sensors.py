@@ -13,7 +13,7 @@ from offpiste.inspection.findings import Finding
 from offpiste.rig.edits import Edit
 
 CASE = sensor_case()
-TURNED = "looks 2.0 degrees away from where its mounting says"
+TURNED = "looks 2.0 degrees away from its stated mounting"
 
 
 def given(name, strength, seed=1):
