@@ -94,6 +94,11 @@ def unreadable(
     return found(code, where, {"what": error.what, "when": when, "how": error.how}, severity=severity)
 
 
+def times(count: int) -> str:
+    """Return how often something happened, in words."""
+    return "once" if count == 1 else f"{count} times"
+
+
 def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return the findings sorted by severity, worst first."""
     return tuple(sorted(findings, key=lambda f: (_ORDER[f.severity], -f.score, f.where, f.what)))

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from offpiste.core.errors import OffpisteError
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath, driven_path
-from offpiste.inspection.findings import Finding, found
+from offpiste.inspection.findings import Finding, found, times
 from offpiste.inspection.lags import LAGS, SURE, fit_lags, lagged, sampled
 from offpiste.inspection.naming import Guess
 from offpiste.inspection.recorded_log import Recorded
@@ -149,7 +149,7 @@ def _hidden_reverse(drive: Drive, path: DrivenPath) -> list[Finding]:
     if not stretches:
         return []
     about = {
-        "times": "once" if len(stretches) == 1 else f"{len(stretches)} times",
+        "times": times(len(stretches)),
         "seconds": sum(last - first for first, last in stretches) * STEP,
         "since": path.time[stretches[0][0]] - path.time[0],
     }

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from offpiste.core.conventions import SIGMA_PER_MEDIAN
 from offpiste.inspection.course import course_minus_heading, straight_rows
 from offpiste.inspection.driven_path import MOVING, STEP, DrivenPath, on_path
-from offpiste.inspection.findings import Finding, found
+from offpiste.inspection.findings import Finding, found, times
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.rig.rig import Rig
@@ -103,7 +103,7 @@ def _of_runs(code: str, channel: Channel, runs: Sequence[_Run], path: DrivenPath
     """Return a finding on some runs of a channel."""
     seconds, longest = sum(run.lasts for run in runs), max(runs, key=lambda run: run.lasts)
     about = {
-        "times": "once" if len(runs) == 1 else f"{len(runs)} times, {seconds:.1f} s in all",
+        "times": times(len(runs)) + (f", {seconds:.1f} s in all" if len(runs) > 1 else ""),
         "to": ", ".join(f"{value:.3g}" for value in channel.values[longest.first]),
         "longest": longest.lasts,
         "since": longest.begin - channel.time[0],

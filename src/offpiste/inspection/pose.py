@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 from offpiste.core.conventions import SIGMA_PER_MEDIAN
 from offpiste.core.geometry import rotation_from_quaternion
 from offpiste.inspection.driven_path import STEP, DrivenPath
-from offpiste.inspection.findings import Finding, Severity, found
+from offpiste.inspection.findings import Finding, Severity, found, times
 from offpiste.inspection.pose_samples import check_faults, check_repeats, check_seldom
 from offpiste.logs.channel import Channel, to_z_up
 from offpiste.logs.drive import Drive
@@ -191,7 +191,7 @@ def _jumping(
     share = min(5.0 * len(jumps) / (time[-1] - time[0]), 1.0)
     severity: Severity = "warning" if excess[worst] > 2 * least or share > 0.1 else "note"
     when = ", ".join(f"{time[j] - origin:.2f} s" for j in jumps[:5]) + (", ..." if len(jumps) > 5 else "")
-    about = {"count": len(jumps), "size": excess[worst], "way": words, "times": when}
+    about = {"times": times(len(jumps)), "size": excess[worst], "way": words, "when": when}
     return found("position_jumps", "position", about, severity=severity, score=share)
 
 

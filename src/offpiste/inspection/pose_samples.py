@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import median_filter
 
 from offpiste.inspection.driven_path import MOVING, DrivenPath
-from offpiste.inspection.findings import Cure, Finding, found
+from offpiste.inspection.findings import Cure, Finding, found, times
 from offpiste.logs.channel import Channel
 from offpiste.logs.drive import Drive
 from offpiste.logs.pose_faults import DroppedRun
@@ -157,7 +157,7 @@ def check_faults(drive: Drive) -> list[Finding]:
     if turns:
         when = ", ".join(f"{jump.since:.2f} s" for jump in turns[:5]) + (", ..." if len(turns) > 5 else "")
         score = min(5 * len(turns) / length, 1.0)
-        findings.append(found("jumps", turns[0].channel, {"count": len(turns), "when": when}, score=score))
+        findings.append(found("jumps", turns[0].channel, {"times": times(len(turns)), "when": when}, score=score))
     return findings
 
 
@@ -171,7 +171,6 @@ def _held(runs: Sequence[DroppedRun], length: float) -> list[Finding]:
         return []
     seconds = np.array([min(run.until, run.end) - run.after for run in runs])
     worst = runs[int(seconds.argmax())]
-    times = "once" if len(runs) == 1 else f"{len(runs)} times"
     then = f", after which it jumps by {worst.off:.3g} m" if np.isfinite(worst.until) else ", to the end of the log"
-    values = {"times": times, "longest": seconds.max(), "since": worst.since, "then": then}
+    values = {"times": times(len(runs)), "longest": seconds.max(), "since": worst.since, "then": then}
     return [found("held_place", "position", values, score=min(float(seconds.sum()) / length, 1.0))]
