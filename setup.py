@@ -26,7 +26,7 @@ def print_physics() -> None:
     if all(path.exists() and path.stat().st_mtime > changed for path in TREE["PRINTED"]):
         return
     for name in ("offpiste", "offpiste.core", "offpiste.dynamics", "offpiste.dynamics.kernels"):
-        sys.modules[name] = ModuleType(name)  # the packages themselves import what is not installed yet
+        sys.modules[name] = ModuleType(name)  # their __init__.py import packages that are not installed yet
         sys.modules[name].__path__ = [str(Path("src", *name.split(".")))]
     runpy.run_module("offpiste.dynamics.kernels.generate", run_name="__main__")
 

@@ -206,8 +206,7 @@ def _paired_runs(mine: Mapping[int, Sequence[Drive]], its: Mapping[int, Sequence
 def _compare(mine: Runs, its: Runs, limit: float) -> list[str]:
     """Return the cells of a line: a difference for each measure, and those of the costs where both finish."""
     found = {key: paired(_values(mine, key, limit), _values(its, key, limit)) for key in MEASURES}
-    both = (_array(runs, itemgetter("finished")) == 1 for runs in (mine, its))
-    finish = np.logical_and(*both)
+    finish = (_array(mine, itemgetter("finished")) == 1) & (_array(its, itemgetter("finished")) == 1)
     cells = [_interval(difference, key) for key, difference in found.items()]
     for key in BOTH_FINISH:
         one, other = (np.where(finish, _values(runs, key, limit), np.nan) for runs in (mine, its))

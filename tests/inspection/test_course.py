@@ -26,8 +26,7 @@ def _turned(angle: np.ndarray | float, log: MemoryLog = CLEAN, *, roll: np.ndarr
         "qz": np.sin(yaw / 2) * np.cos(roll / 2),
         "qw": np.cos(yaw / 2) * np.cos(roll / 2),
     }
-    log = log.put("odom", **columns)
-    return log
+    return log.put("odom", **columns)
 
 
 @pytest.mark.parametrize("degrees", [25.0, -90.0])

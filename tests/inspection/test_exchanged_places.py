@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from simulated import MemoryLog, drive_log, rig, severe
 
-from offpiste.inspection.findings import Finding
 from offpiste.inspection.inspect import inspect_log
 from offpiste.rig.edits import Edit, edited
 from offpiste.rig.rig import Rig
@@ -39,16 +38,12 @@ def read_by(fields: tuple[str, str], heading: dict[str, object]) -> Rig:
     return edited(rig(), [*gone, rate, Edit("channels.yaw", heading), Edit("channels.position", places)])
 
 
-def wrong(log: MemoryLog, given: Rig) -> list[Finding]:
-    return severe(log, given)
-
-
 @pytest.mark.parametrize("fields", [LAT_LON, EAST_NORTH], ids=" ".join)
 def test_a_rig_that_reads_north_before_east_is_cured_by_the_exchange_alone(fields: tuple[str, str]) -> None:
     log = located(50.0, 8.0)
     turned = read_by((fields[1], fields[0]), COMPASS)
     assert inspect_log(log, turned).cure == (Edit("channels.position.fields", list(fields)),)
-    assert wrong(log, read_by(fields, COMPASS)) == []
+    assert severe(log, read_by(fields, COMPASS)) == []
 
 
 @pytest.mark.parametrize("fields", [LAT_LON, EAST_NORTH], ids=" ".join)
@@ -62,4 +57,4 @@ def test_what_counts_to_the_right_beside_places_that_are_right_is_no_exchange(
         given = read_by(fields, heading)
         cure = inspect_log(log, given).cure
         assert "channels.position.fields" not in {edit.key for edit in cure}
-        assert wrong(log, edited(given, cure)) == []
+        assert severe(log, edited(given, cure)) == []

@@ -26,8 +26,7 @@ def _reversing(log: MemoryLog, begin: float, end: float) -> MemoryLog:
     time, odom = log.data["odom"]
     back = (time - time[0] > begin) & (time - time[0] < end)
     yaw = 2 * np.arctan2(odom["qz"], odom["qw"]) + np.pi * back
-    log = log.put("odom", qz=np.sin(yaw / 2), qw=np.cos(yaw / 2))
-    return log
+    return log.put("odom", qz=np.sin(yaw / 2), qw=np.cos(yaw / 2))
 
 
 def _with_gear(log: MemoryLog, begin: float, end: float, forward: float, reverse: float) -> MemoryLog:

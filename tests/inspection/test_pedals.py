@@ -21,9 +21,7 @@ def test_a_brake_without_effect_shows_none() -> None:
 
 def _triggers(low: float, high: float) -> MemoryLog:
     """The log with pedals as triggers: `high` when released, `low` when pressed fully."""
-    log = CLEAN
-    log = log.change("pedals", "throttle brake", lambda x: high - (high - low) * np.clip(1.25 * x - 0.25, 0, 1))
-    return log
+    return CLEAN.change("pedals", "throttle brake", lambda x: high - (high - low) * np.clip(1.25 * x - 0.25, 0, 1))
 
 
 @pytest.mark.parametrize("low", [-1.0, 0.0])

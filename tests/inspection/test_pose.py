@@ -185,9 +185,7 @@ def _sliding(sign: float) -> MemoryLog:
         "vx": odom["vx"] * np.cos(slip),
         "vy": sign * odom["vx"] * np.sin(slip),
     }
-    log = DRIVE
-    log = log.put("odom", **columns)
-    return log
+    return DRIVE.put("odom", **columns)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

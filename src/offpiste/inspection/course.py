@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from offpiste.inspection.driven_path import STEP, DrivenPath
+from offpiste.inspection.driven_path import STEP, DrivenPath, heading_name
 from offpiste.inspection.findings import Finding, Severity, found
 from offpiste.inspection.lags import SURE, jackknife
 from offpiste.logs.channel import turning_sign
@@ -65,7 +65,7 @@ def check_course(drive: Drive, path: DrivenPath) -> list[Finding]:
     """Check the heading against the direction of travel."""
     if under_way(path).sum() < 40:
         return []
-    name = "yaw" if "yaw" in drive.channels else "orientation"
+    name = heading_name(drive)
     plain, *others = readings(drive, path)
     return _check_heading(name, plain, others, drive.rig)
 

@@ -124,6 +124,11 @@ def driven_path(drive: Drive) -> DrivenPath:
     )
 
 
+def heading_name(drive: Drive) -> str:
+    """Return the name of the channel that holds the heading."""
+    return "yaw" if "yaw" in drive.channels else "orientation"
+
+
 def on_path(path: DrivenPath, recorded: Channel) -> Float[np.ndarray, "n k"]:
     """Return a channel at the path's times with the path's smoothing; NaN outside of the record and in gaps."""
     window = max(path.window, 4 * float(np.median(np.diff(recorded.time))))

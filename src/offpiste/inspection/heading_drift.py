@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from offpiste.core.conventions import SIGMA_PER_MEDIAN
 from offpiste.inspection.course import course_minus_heading, straight_rows
-from offpiste.inspection.driven_path import DrivenPath
+from offpiste.inspection.driven_path import DrivenPath, heading_name
 from offpiste.inspection.findings import Finding, found
 from offpiste.inspection.lags import SURE, fit_lags
 from offpiste.logs.drive import Drive
@@ -44,7 +44,7 @@ def check_heading_drift(drive: Drive, path: DrivenPath) -> list[Finding]:
     if abs(change) < _DRIFT + SURE * sigma:
         return []
     degrees = f"{np.degrees(-change):.0f} ± {np.degrees(sigma):.0f}"
-    return [found("heading_drifts", _heading(drive), {"degrees": degrees, "seconds": lasts})]
+    return [found("heading_drifts", heading_name(drive), {"degrees": degrees, "seconds": lasts})]
 
 
 def check_fast_drift(drive: Drive, path: DrivenPath) -> list[Finding]:
@@ -62,7 +62,7 @@ def check_fast_drift(drive: Drive, path: DrivenPath) -> list[Finding]:
     if circles >= _EVENLY and abs(turning - rate) < 0.2 * abs(rate):
         return []
     degrees = f"{np.degrees(-rate) * lasts:.0f}"
-    return [found("heading_drifts", _heading(drive), {"degrees": degrees, "seconds": lasts})]
+    return [found("heading_drifts", heading_name(drive), {"degrees": degrees, "seconds": lasts})]
 
 
 def _even_turning(angle: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"]) -> tuple[float, float]:
@@ -73,10 +73,6 @@ def _even_turning(angle: Float[np.ndarray, " n"], time: Float[np.ndarray, " n"])
     turned = [np.abs(np.mean(np.exp(2j * (angle[some] - rate * time[some])))) for rate in rates]
     best = int(np.argmax(turned))
     return float(rates[best]), float(turned[best])
-
-
-def _heading(drive: Drive) -> str:
-    return "yaw" if "yaw" in drive.channels else "orientation"
 
 
 def check_heading_noise(drive: Drive, path: DrivenPath) -> list[Finding]:
@@ -90,4 +86,4 @@ def check_heading_noise(drive: Drive, path: DrivenPath) -> list[Finding]:
     sigma = SIGMA_PER_MEDIAN * float(np.median(third)) / np.sqrt(20)
     if sigma < _NOISY:
         return []
-    return [found("heading_noisy", _heading(drive), {"degrees": np.degrees(sigma)})]
+    return [found("heading_noisy", heading_name(drive), {"degrees": np.degrees(sigma)})]

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from offpiste.core.geometry import planar_body_from_world
-from offpiste.inspection.driven_path import STEP, DrivenPath, fit_delayed
+from offpiste.inspection.driven_path import STEP, DrivenPath, fit_delayed, heading_name
 from offpiste.inspection.findings import Finding, found
 from offpiste.inspection.lags import SURE, LagFit, fit_lags
 from offpiste.inspection.response import PRIORS, SteeringFit, moving_rows, prior
@@ -123,7 +123,7 @@ def _costs(
 
 def _hypotheses(drive: Drive) -> Iterator[tuple[str, ...]]:
     """Yield channels that may be late together: heading, position, both, or both with channels of their topic."""
-    heading, channels = _heading(drive), drive.rig.channels
+    heading, channels = heading_name(drive), drive.rig.channels
     topic = channels["position"].topic
     beside = [name for name in ("linear_velocity", "angular_velocity", "yaw_rate") if name in channels]
     beside = [name for name in beside if channels[name].topic == topic]
@@ -134,14 +134,10 @@ def _hypotheses(drive: Drive) -> Iterator[tuple[str, ...]]:
         yield ("position", heading, *beside)
 
 
-def _heading(drive: Drive) -> str:
-    return "yaw" if "yaw" in drive.channels else "orientation"
-
-
 def _intervals(
     drive: Drive, path: DrivenPath, steering: Mapping[str, SteeringFit], pedals: Mapping[str, LagFit]
 ) -> Iterator[Interval]:
-    heading = _heading(drive)
+    heading = heading_name(drive)
     velocity = None
     if "linear_velocity" in drive.channels:
         velocity = fit_frames(drive, path).get(drive.rig.channels["linear_velocity"].frame)

@@ -1,6 +1,8 @@
 """Elementary functions of the compiled code against NumPy, alone and in lanes, and the generated files."""
 
+import ast
 import ctypes
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from offpiste.dynamics.header.step_text import shipped_text
 from offpiste.dynamics.kernels import generate
 from offpiste.native.compiler import source_text
 from offpiste.native.library import instruction_set
+from offpiste.native.sources import PACKAGE, PRINTED_FROM
 from offpiste.planning.costs.text import shipped_terms_text
 
 ANGLES = np.concatenate((np.linspace(-10, 10, 20001), np.linspace(-1e4, 1e4, 200001), np.linspace(-1e-3, 1e-3, 2001)))
@@ -54,6 +57,19 @@ def test_errors_are_small_and_nan_and_large_arguments_are_handled(width, dtype, 
         assert name in ("sin", "cos") or (error[scale > 0] / scale[scale > 0]).max() < room, name
         assert np.isnan(found[-3])
         assert (np.abs(found[-2:]) <= 1.6).all()
+
+
+def imported_modules(file: Path) -> set[Path]:
+    """A module of offpiste and all that it imports, directly or not."""
+    nodes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.ImportFrom)]
+    names = {name for node in nodes for name in (node.module, *(f"{node.module}.{part.name}" for part in node.names))}
+    files = (PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py") for name in names)
+    return {file}.union(*(imported_modules(each) for each in files if each.is_file()))
+
+
+def test_an_edit_of_any_module_that_the_physics_is_printed_from_makes_the_library_stale():
+    without_numbers = {PACKAGE / f"{name}.py" for name in ("core/errors", "core/registry", "dynamics/vehicle")}
+    assert imported_modules(Path(generate.__file__)) - without_numbers == set(PRINTED_FROM)
 
 
 def test_generated_code_is_current():

@@ -68,7 +68,7 @@ def codes_by_cell(
 
 
 def encoder_of(encoder: FeatureEncoder | None, matrices: Sequence[Tensor] | None = None) -> Encoder:
-    """Return an encoder as the library reads it; one without features stands for none."""
+    """Return an encoder as the library reads it; without an encoder, a structure with zero features."""
     mean = torch.zeros(0) if encoder is None else encoder.mean
     arrays = Arrays()
     result = Encoder(features=len(mean), size=0 if encoder is None else encoder.size, mean=arrays.floats(mean))

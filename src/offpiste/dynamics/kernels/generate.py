@@ -1,7 +1,7 @@
 """Prints the scalar physics, forward and adjoint, as the C that the library and the header for GPUs share.
 
-`setup.py` runs this file before anything but SymPy is installed, so that it imports nothing else, and again after a
-change of the physics or of `offpiste.core.channels`.
+`setup.py` runs this file during the installation, when SymPy is the only package at hand, and again after a change of
+`native.sources.PRINTED_FROM`. It must import no other package.
 
 The physics is called with SymPy's symbols. The elementary functions that it calls are recorded, each result as a new
 symbol (`tape`); what lies between them is algebra, which SymPy differentiates and shares.
